@@ -5,13 +5,15 @@ Like many a real one it has no timeout of its own: it goes on until a command st
 
 from __future__ import annotations
 
+import signal
+from contextlib import suppress
 from math import cos, sin
 
 import rclpy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 _SECONDS = 0.05
 
@@ -48,12 +50,14 @@ class Base(Node):  # type: ignore[misc]  # rclpy has no types
 
 def main() -> None:
     """Drive until interrupted."""
-    rclpy.init()
-    print("standing still", flush=True)
-    try:
-        rclpy.spin(Base())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    base = Base()
+    with suppress(KeyboardInterrupt):
+        print("standing still", flush=True)
+        while True:
+            rclpy.spin_once(base, timeout_sec=0.2)
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+from contextlib import suppress
+
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 
 WIDTH, HEIGHT, BRIGHT = 64, 48, 200
@@ -12,7 +15,8 @@ WIDTH, HEIGHT, BRIGHT = 64, 48, 200
 
 def main() -> None:
     """Publish on /camera/image until interrupted."""
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("camera")
     publisher = node.create_publisher(Image, "/camera/image", 10)
     image = Image(height=HEIGHT, width=WIDTH, encoding="mono8", step=WIDTH)
@@ -23,10 +27,10 @@ def main() -> None:
         publisher.publish(image)
 
     node.create_timer(0.05, take)
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
+    with suppress(KeyboardInterrupt):
+        while True:
+            rclpy.spin_once(node, timeout_sec=0.2)
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import signal
 import threading
 import time
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
@@ -15,8 +17,9 @@ from nav_msgs.msg import Odometry
 from nav_msgs.srv import GetPlan
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import LaserScan
 from tf2_msgs.msg import TFMessage
 
@@ -143,14 +146,15 @@ def _length(path: list[tuple[float, float]]) -> float:
 
 def main() -> None:
     """Serve /navigate_to_pose until interrupted."""
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     executor = MultiThreadedExecutor(num_threads=4)
     executor.add_node(Base().node)
-    print("driving on /navigate_to_pose", flush=True)
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
+    with suppress(KeyboardInterrupt):
+        print("driving on /navigate_to_pose", flush=True)
+        while True:
+            executor.spin_once(timeout_sec=0.2)
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

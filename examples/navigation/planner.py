@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+from contextlib import suppress
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 
 def _pose(x: float, y: float) -> PoseStamped:
@@ -21,7 +23,8 @@ def _pose(x: float, y: float) -> PoseStamped:
 def main() -> None:
     """Answer on /KIND/plan until interrupted."""
     kind = sys.argv[1]
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node(f"{kind}_planner")
 
     def plan(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
@@ -32,11 +35,11 @@ def main() -> None:
         return response
 
     node.create_service(GetPlan, f"/{kind}/plan", plan)
-    print(f"planning on /{kind}/plan", flush=True)
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
+    with suppress(KeyboardInterrupt):
+        print(f"planning on /{kind}/plan", flush=True)
+        while True:
+            rclpy.spin_once(node, timeout_sec=0.2)
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

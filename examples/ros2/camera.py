@@ -5,11 +5,14 @@ It knows nothing of uoarm.
 
 from __future__ import annotations
 
+import signal
+from contextlib import suppress
+
 import numpy as np
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 
 HEIGHT, WIDTH, SIDE = 240, 320, 48
@@ -18,7 +21,8 @@ SKIN = (224, 172, 105)
 
 def main() -> None:
     """Publish on /image_raw until interrupted."""
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("camera")
     publisher = node.create_publisher(Image, "/image_raw", qos_profile_sensor_data)
     taken = 0
@@ -35,11 +39,11 @@ def main() -> None:
         publisher.publish(image)
 
     node.create_timer(0.1, take)
-    print("showing pictures on /image_raw", flush=True)
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
+    with suppress(KeyboardInterrupt):
+        print("showing pictures on /image_raw", flush=True)
+        while True:
+            rclpy.spin_once(node, timeout_sec=0.2)
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

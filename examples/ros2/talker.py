@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+from contextlib import suppress
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from std_msgs.msg import String
 
@@ -15,7 +18,8 @@ def main() -> None:
     """Publish on /chatter until interrupted, or as many times as the first argument says."""
     arguments = remove_ros_args(sys.argv)
     most = int(arguments[1]) if len(arguments) > 1 else None
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("talker")
     publisher = node.create_publisher(String, "chatter", 10)
     said = 0
@@ -28,11 +32,11 @@ def main() -> None:
             raise ExternalShutdownException
 
     node.create_timer(0.5, say)
-    print("talking on /chatter", flush=True)
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        print("talking on /chatter", flush=True)
+        while True:
+            rclpy.spin_once(node, timeout_sec=0.2)
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 from uoarm_vision.camera import camera
 from uoarm_vision.messages import Frame
@@ -18,7 +20,8 @@ _RATE = 5.0
 
 def main() -> None:
     """Publish the footage that is named on the command line until interrupted."""
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("camera")
     publisher = node.create_publisher(Image, "/image_raw", qos_profile_sensor_data)
     frames: Iterator[Frame] = camera(sys.argv[1], loop=True)
@@ -32,11 +35,11 @@ def main() -> None:
         publisher.publish(image)
 
     node.create_timer(1 / _RATE, take)
-    print("ready", flush=True)
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
+    with suppress(KeyboardInterrupt):
+        print("ready", flush=True)
+        while True:
+            rclpy.spin_once(node, timeout_sec=0.2)
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

@@ -10,9 +10,11 @@ for navigation, so that of test_msgs stands in: `order` is the leg, `sequence` w
 from __future__ import annotations
 
 import math
+import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import Any, Final
 
 import rclpy
@@ -20,8 +22,9 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry, Path
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Bool, Int32, String
 from test_msgs.action import Fibonacci
@@ -155,15 +158,16 @@ class Amr:
 
 def main() -> None:
     """Run `NAME HOME` until interrupted."""
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     amr = Amr(sys.argv[1], sys.argv[2])
     executor = MultiThreadedExecutor(num_threads=6)
     executor.add_node(amr.node)
-    print("ready", flush=True)
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
+    with suppress(KeyboardInterrupt):
+        print("ready", flush=True)
+        while True:
+            executor.spin_once(timeout_sec=0.2)
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from typing import Any
 
@@ -11,8 +12,8 @@ from claw_msgs.action import Squeeze
 from claw_msgs.msg import Grip
 from claw_msgs.srv import Take
 from rclpy.action import ActionServer
-from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 
 
 def take(request: Any, response: Any) -> Any:
@@ -28,7 +29,8 @@ def squeeze(goal: Any) -> Any:
 
 
 def main() -> None:
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = rclpy.create_node("claw")
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     publisher = node.create_publisher(Grip, "/grip", latched)
@@ -39,8 +41,9 @@ def main() -> None:
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+        while True:
+            rclpy.spin_once(node, timeout_sec=0.2)
+    except KeyboardInterrupt:
         pass
     finally:
         server.destroy()

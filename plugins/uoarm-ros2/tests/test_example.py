@@ -139,3 +139,23 @@ def test_the_tutorials_spare_takes_over(run: Run, tmp_path: Path) -> None:
         assert "connection c1 replaced" not in line
     assert "hello" in lines(received.stdout, 1)[0]
     assert interrupted(received) == 130
+
+
+def test_nodes_of_examples_and_tests_end_at_a_signal() -> None:
+    """A wait without a limit in rclpy, or its own signal handler, may outlive a signal.
+
+    Of 360 nodes that waited in `spin()` six did not end at SIGTERM (rclpy 7.1); with a limit and
+    rclpy's handler one hung as it exited.
+    """
+    nodes = [
+        path
+        for folder in (ROOT / "examples", *(ROOT / "plugins").glob("*/tests"))
+        for path in folder.rglob("*.py")
+        if re.search(r"^import rclpy$", text := path.read_text(), re.MULTILINE)
+        and "SIGTERM" in text
+    ]
+    assert len(nodes) >= 10
+    for node in nodes:
+        text = node.read_text()
+        assert not re.search(r"[.]spin[(]", text), node
+        assert re.search(r"SignalHandlerOptions[.]NO", text), node

@@ -4,13 +4,15 @@
 # rclpy has no types, and need not be there.
 from __future__ import annotations
 
+import signal
 import sys
 from typing import Any
 
 import rclpy
 from rclpy.action import ActionServer
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image, LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -22,7 +24,8 @@ HERTZ = 20.0
 
 def main() -> None:
     """Run until the process is ended."""
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("behind")
     node.declare_parameter("speed", 7)
     picture = Image(width=WIDTH, height=HEIGHT, encoding="mono8", step=WIDTH)
@@ -45,8 +48,9 @@ def main() -> None:
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+        while True:
+            executor.spin_once(timeout_sec=0.2)
+    except KeyboardInterrupt:
         return
 
 
