@@ -289,7 +289,13 @@ spec = BridgeSpec("rtm", "rtm", options)
 bridge = Registry().create(spec)
 out, into = endpoint(Role.OUTPUT, "Mortal.rtc", "out"), endpoint(Role.INPUT, "Mortal.rtc", "in")
 channels = [source(bridge, out, Inbox()), sink(bridge, into)]
-_orb._shared.running.orb.shutdown(True)
+# A reference that the watch gets while omniORB shuts down is one that it waits for without an end
+# (4.3.3, seen once in 546), in the application's own call: so no call is under way here.
+while True:
+    with _orb.calls._lock:
+        if not _orb.calls._count:
+            _orb._shared.running.orb.shutdown(True)
+            break
 for channel in channels:
     channel.close()
 for _ in range(3):
@@ -308,7 +314,11 @@ def test_an_orb_that_the_application_shuts_down_is_an_error_and_no_hang(
     peer("Mortal")
     script = SHUTDOWN.format(here=str(HERE), nameserver=nameserver, ANSWERS=ANSWERS)
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience(),
     )
     assert (done.returncode, done.stdout) == (0, "fine\n"), done.stderr
 
