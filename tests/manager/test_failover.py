@@ -5,13 +5,15 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from attrs import evolve
 
-from uoarm import ConnectionClosedError, RobotManager
+from uoarm import BridgeError, Connection, ConnectionClosedError, RobotManager
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.state import State
@@ -160,6 +162,66 @@ def test_with_failover_off_other_events_do_not_wait_for_what_died(
         stage.two.report(Health.DEGRADED, "hot")
         wait(lambda: any(event.subject == "bridge two" for event in stage.events))
         assert "given up" not in caplog.text
+
+
+@contextmanager
+def requested(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[Future[Connection], Hang]]:
+    """Request faces; the opening of the camera, the last of the plan, hangs when it has opened."""
+    opened, hang = stage.one._open_source, Hang()
+
+    def hang_once_open(endpoint: Endpoint, *given: Any) -> Channel:
+        channel = opened(endpoint, *given)
+        hang.wait()
+        return channel
+
+    monkeypatch.setattr(stage.one, "_open_source", hang_once_open)
+    with ThreadPoolExecutor(1) as pool:
+        request = pool.submit(stage.robot.request, "face")
+        assert hang.entered.wait(patience())
+        yield request, hang
+
+
+def test_what_dies_while_its_plan_opens_is_replaced_when_all_is_open(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before or after the last part is open is chance; an application sees no difference."""
+    stage = make()
+    with requested(stage, monkeypatch) as (request, hang):
+        stage.one.die("best", "it was unplugged")
+        hang.release()
+        connection = request.result(patience())
+    wait(lambda: connection.gaps)
+    stage.next.emit(2)
+    assert connection.get(patience()) == 2
+    assert connection.plan.names == ("next", "finder")
+    assert "it was unplugged" in connection.gaps[0].cause
+
+
+def test_a_bridge_that_dies_while_a_plan_opens_is_why_the_request_fails(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage = make()
+    with requested(stage, monkeypatch) as (request, hang):
+        stage.one.report(Health.LOST, "it was unplugged")
+        hang.release()
+        error = request.exception(patience())
+    assert isinstance(error, BridgeError)
+    assert "component 'best' was lost: it was unplugged" in str(error)
+
+
+def test_what_dies_while_its_plan_opens_ends_the_request_with_failover_off(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage = make(FailoverPolicy(enabled=False))
+    with requested(stage, monkeypatch) as (request, hang):
+        stage.one.die("best", "it was unplugged")
+        hang.release()
+        error = request.exception(patience())
+    assert isinstance(error, BridgeError)
+    assert "ended while it was being opened: component 'best' was lost" in str(error)
+    wait(lambda: (stage.one.open_channels, stage.two.open_channels) == (0, 0))
 
 
 def test_a_component_in_the_middle_stays_open_when_its_feed_is_replaced(make: Make) -> None:

@@ -36,6 +36,7 @@ __all__ = [
     "death",
     "drop_next",
     "end",
+    "fail_to_open",
     "finish_if_asked",
     "found",
     "hand_over",
@@ -44,6 +45,7 @@ __all__ = [
     "look_later",
     "look_soon",
     "replace",
+    "replace_lost",
     "seek",
     "seek_plan",
     "try_another",
@@ -318,7 +320,7 @@ def replace(draft: Draft, failure: Move) -> None:
 def _lose_current(
     draft: Draft, record: ConnectionRecord, failure: Move, places: Mapping[int, int]
 ) -> None:
-    """Replace the plan that runs, or end; an end while it is opened is the request's failure.
+    """Replace the plan that runs, or end; one that is opened is replaced when all of it is open.
 
     Args:
         draft: the state.
@@ -352,9 +354,10 @@ def _lose_current(
         )
     record = draft.put(record, move=move)
     if record.state is ConnectionState.OPENING:
-        text = f"connection {record.id} ended while it was being opened: {move.cause}"
-        error = BridgeError(text, FailureReason.UNAVAILABLE)
-        end(draft, record, ConnectionState.FAILED, move.cause, error=error)
+        # `replace_lost` follows: whether a source raises before the last part is open or after it
+        # is chance, and both come to the same (`failures.txt`).
+        if not draft.policy.enabled:
+            fail_to_open(draft, record)
     elif not draft.policy.enabled or not record.is_active:
         end(draft, record, ConnectionState.FAILED, move.cause)
     elif move.phase is MovePhase.SWITCHING:
@@ -366,6 +369,26 @@ def _lose_current(
         seek(draft, drop_next(draft, record))
     elif record.next is None:
         seek(draft, record)
+
+
+def fail_to_open(draft: Draft, record: ConnectionRecord, lane: str = "") -> None:
+    """End a connection that lost components while it was being opened: its request fails."""
+    assert record.move is not None, "it is on its way to its first plan"
+    cause = record.move.cause
+    text = f"connection {record.id} ended while it was being opened: {cause}"
+    error = BridgeError(text, FailureReason.UNAVAILABLE)
+    end(draft, record, ConnectionState.FAILED, cause, lane, error=error)
+
+
+def replace_lost(draft: Draft, record: ConnectionRecord, opening: Move) -> None:
+    """Replace what a connection lost while it was being opened, now that it runs."""
+    if not opening.lost:
+        return
+    record = draft.put(record, move=opening.as_death())
+    if draft.policy.enabled:
+        seek(draft, record)
+    else:  # since a change of the configuration that came meanwhile
+        end(draft, record, ConnectionState.FAILED, opening.cause)
 
 
 def _lose_next(draft: Draft, record: ConnectionRecord, failure: Move) -> None:

@@ -259,7 +259,8 @@ def _output(plan: Plan, wanted: PortRef) -> str | None:
 
 def _run(draft: Draft, record: ConnectionRecord) -> None:
     # Published before the reply: who has the handle finds it running.
-    waiter = record.waiter
+    waiter, move = record.waiter, record.move
+    assert move is not None, "it was on its way to its first plan"
     record = draft.put(
         record, state=ConnectionState.RUNNING, waiter="", current=record.next, move=None
     )
@@ -267,6 +268,7 @@ def _run(draft: Draft, record: ConnectionRecord) -> None:
     draft.announce(record, RULES[MoveReason.REQUEST].announced)
     draft.actions.append(Reply(waiter))
     finish_if_asked(draft, record)
+    failover.replace_lost(draft, record, move)
 
 
 def _opened(draft: Draft, event: Opened) -> None:
@@ -297,7 +299,10 @@ def _failed_to_open(
     match move.rule.failing:
         case OnOpenFailure.ENDS:
             draft.actions.append(Forget(record.placement.plan.names))
-            end(draft, record, ConnectionState.FAILED, str(error), record.waiter, error=error)
+            if move.lost:  # which is why, whatever the opening says of it
+                failover.fail_to_open(draft, record, record.waiter)
+            else:
+                end(draft, record, ConnectionState.FAILED, str(error), record.waiter, error=error)
         case OnOpenFailure.STAYS:
             switchover.abandon(draft, draft.switchovers[move.group], str(error))
         case OnOpenFailure.SEEKS:
