@@ -45,7 +45,7 @@ from uoarm.model import (
     write_json,
 )
 
-__all__ = ["call", "offer", "request", "show_live"]
+__all__ = ["call", "offer", "request"]
 
 _GLANCE_SECONDS = 0.25
 _DEATH = re.compile(r"component \S+ lost: |connection \S+ failed: ")
@@ -94,9 +94,7 @@ def request(
         if not connection.plan.provider.component.outputs:
             _stay(connection, duration)
         elif sys.stdout.isatty() and not as_json:
-            from uoarm.cli._run import show_live  # noqa: PLC0415 - slow import
-
-            show_live(robot, connection, reading)
+            _show_live(robot, connection, reading)
         else:
             for message in reading:
                 click.echo(write_json(plain(message)))
@@ -271,7 +269,7 @@ class _LineLimit:
         return text
 
 
-def show_live(robot: RobotManager, connection: Connection, messages: Iterable[Message]) -> None:
+def _show_live(robot: RobotManager, connection: Connection, messages: Iterable[Message]) -> None:
     """Print the plan, then messages as they come above a table of flows, until they end."""
     console = Console(highlight=False)
     console.print(str(connection.plan), markup=False, soft_wrap=True)
