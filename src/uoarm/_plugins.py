@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -72,6 +73,17 @@ def cause_of(error: Exception, point: EntryPoint | None) -> str:
     return cause
 
 
+# Pluggy reads every attribute of a module for it, which each manager of a process would pay for.
+@lru_cache(maxsize=64)
+def _registered(module: object, name: str, specification: type) -> pluggy.PluginManager:
+    """Return the hooks of one module, whose mistakes affect no other plugin."""
+    manager = pluggy.PluginManager("uoarm")
+    manager.add_hookspecs(specification)
+    manager.register(module, name=name)
+    manager.check_pending()
+    return manager
+
+
 def values_of(point: EntryPoint, specification: type, hook: str, kind: type[T]) -> list[T]:
     """Return what the module behind an entry point answers to a hook.
 
@@ -85,10 +97,7 @@ def values_of(point: EntryPoint, specification: type, hook: str, kind: type[T]) 
         PluginError: the module does not implement the hook, or returns something else.
         Exception: whatever the module raises; contained where it is none.
     """
-    manager = pluggy.PluginManager("uoarm")
-    manager.add_hookspecs(specification)
-    manager.register(foreign(point.load), name=point.name)
-    manager.check_pending()
+    manager = _registered(foreign(point.load), point.name, specification)
     answers: list[list[T]] = foreign(getattr(manager.hook, hook))
     values = [value for answer in answers for value in answer]
     if not values:

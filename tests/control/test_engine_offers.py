@@ -27,6 +27,9 @@ class Offering:
     def post(self, event: ev.Event) -> None:
         self.state, actions = step(self.state, event, self.now)
         self.actions += actions
+        offers = self.state.offers.values()
+        assert set(self.state.due) == {item.name for item in offers if item.retry_at is not None}
+        assert set(self.state.leaving) == {item.name for item in offers if not item.is_wanted}
 
     def want(self, *names: str, replaced: frozenset[str] = frozenset()) -> None:
         self.post(ev.OffersWanted(names, replaced))

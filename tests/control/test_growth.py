@@ -6,6 +6,7 @@ import math
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 from tests.control.world import Plans, World
@@ -17,10 +18,11 @@ from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
 from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.revisions import find_replacement
+from uoarm._control.offered_function import OfferedFunction
 from uoarm.config import loads
 from uoarm.errors import ResolutionError
-from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
-from uoarm.testing import MemoryBridge
+from uoarm.model import FailoverPolicy, Health, OfferState, Plan, PortRef, ValidationMode
+from uoarm.testing import MemoryBridge, patience, wait
 
 NAMES = tuple(f"camera{number}" for number in range(12))
 HEAD = "version: 1\nbridges: {one: {plugin: memory}}\nfunctions:\n"
@@ -241,6 +243,73 @@ def test_what_happens_to_all_grows_with_their_number(function: str) -> None:
 
         spent.append(work.of(all_of_it)[0])
     assert spent[1] <= 8**1.1 * spent[0]
+
+
+def begin_offers(work: Work, count: int) -> None:
+    work.play(ev.OffersWanted(tuple(f"net:f{number}" for number in range(count)), frozenset()))
+
+
+def open_offers(work: Work, cause: str = "") -> None:
+    for record in tuple(work.state.offers.values()):
+        work.play(ev.OfferOpened(record.name, record.number, cause))
+
+
+def break_offers(work: Work) -> None:
+    for record in tuple(work.state.offers.values()):
+        work.play(ev.OfferReported(record.name, record.number, Health.LOST, "it fell over"))
+    close_offers(work)
+
+
+def close_offers(work: Work) -> None:
+    for record in tuple(work.state.offers.values()):
+        work.play(ev.OfferClosed(record.name, record.number))
+
+
+def test_what_becomes_of_all_offers_grows_with_their_number() -> None:
+    steps: list[list[int]] = []
+    for count in (40, 320):
+        work = Work(Plans(side_by_side(1)))
+        spent = [
+            work.of(partial(begin_offers, work, count))[0],
+            work.of(partial(open_offers, work, "no"))[0],
+            work.of(partial(work.play, ev.HealthReported("one", Health.OK, "", "a0")))[0],
+        ]
+        work.now += 1.0
+        spent.append(work.of(partial(work.play, ev.TimeReached()))[0])
+        spent += [
+            work.of(partial(open_offers, work))[0],
+            work.of(partial(break_offers, work))[0],
+            work.of(partial(open_offers, work))[0],
+            work.of(partial(work.play, ev.OffersWanted((), frozenset())))[0],
+            work.of(partial(close_offers, work))[0],
+        ]
+        assert not work.state.offers
+        steps.append(spent)
+    for few, many in zip(*steps, strict=True):
+        assert many <= 8**1.1 * few
+
+
+def test_what_becomes_of_a_connection_concerns_the_offer_that_it_is_behind(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looks: list[str] = []
+
+    def note(offered: OfferedFunction) -> None:
+        looks.append(offered.offer.function)
+
+    bridge, net = MemoryBridge("one"), MemoryBridge("net")
+    for name in NAMES:
+        bridge.emitter(name, {"type": "integer"})
+        net.taker(name, {"type": "integer"})
+    offers = "".join(f"    {name}s: {{output: {{endpoint: [{name}]}}}}\n" for name in NAMES)
+    text = APART.replace("plugin: memory}", "plugin: memory}, net: {plugin: memory}", 1)
+    robot = loads(f"{text}offer:\n  net:\n{offers}")
+    with RobotManager(robot, bridges={"one": bridge, "net": net}) as manager:
+        assert {status.state for status in manager.offer(timeout=patience())} == {OfferState.OPEN}
+        monkeypatch.setattr(OfferedFunction, "provider_changed", note)
+        bridge.die(NAMES[3])
+        wait(lambda: looks)
+    assert set(looks) == {f"{NAMES[3]}s"}
 
 
 def test_a_component_that_closes_looks_at_no_other_that_does(

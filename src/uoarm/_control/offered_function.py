@@ -184,12 +184,6 @@ class OfferedFunction:
         ended = [connection.cause for connection in self._connections if connection.ended]
         return str(ended[-1]) if ended and len(ended) == len(self._connections) else None
 
-    def owns(self, channel: Channel) -> bool:
-        """Say whether a channel is one of its own."""
-        return channel in self._channels or any(
-            channel.endpoint is endpoint for endpoint in self.offer.endpoints
-        )
-
     def provider_changed(self) -> None:
         """Take in that a provider behind it died or was replaced."""
         if self._goals is not None:

@@ -87,8 +87,9 @@ def end(
     lost = record.move.lost if record.move is not None else ()
     record = drop_next(draft, record)
     # While inputs change hands the others go on, and this one is passed over when they have.
-    if record.move is not None and _may_cancel(draft, record.move):
-        cancel_switchover(draft, record.move.group)
+    group = record.move.group if record.move is not None else 0
+    if group and not draft.switchovers[group].is_switching:
+        cancel_switchover(draft, group)
         record = draft.connections[record.id]
     # From here on it uses nothing: what is opened for it from now on comes back as unused.
     placement = record.placement
@@ -157,11 +158,6 @@ def finish_if_asked(draft: Draft, record: ConnectionRecord) -> None:
     """Let what is under way arrive before a connection ends whose source has finished."""
     if record.finished:
         draft.actions.append(Drain(f"{record.id}!drain", record.id, record.placement))
-
-
-def _may_cancel(draft: Draft, move: Move) -> bool:
-    """Say whether a move is one with others, whose inputs are not changing hands."""
-    return bool(move.group) and not draft.switchovers[move.group].is_switching
 
 
 def look_later(draft: Draft, record: ConnectionRecord) -> None:

@@ -32,9 +32,10 @@ _LEAVING_SECONDS = 5.0
 
 def offers_wanted(draft: Draft, event: OffersWanted) -> None:
     """Offer these, and close what is offered no more, or otherwise, before what is new opens."""
-    for record in _by_name(draft):
-        if record.name not in event.names or record.name in event.replaced:
-            _settle(draft, record._replace(is_wanted=False, is_renewed=record.name in event.names))
+    wanted = frozenset(event.names)
+    for _, record in sorted(draft.offers.items()):
+        if record.name not in wanted or record.name in event.replaced:
+            _settle(draft, record._replace(is_wanted=False, is_renewed=record.name in wanted))
         elif not record.is_wanted:
             _settle(draft, record._replace(is_renewed=True))  # it is wanted again as it closes
     for name in event.names:
@@ -101,7 +102,7 @@ def offer_reported(draft: Draft, event: OfferReported) -> None:
 
 def retry_offers(draft: Draft) -> None:
     """Try at once what failed and waits to be tried again, as something may be well by now."""
-    for record in _by_name(draft):
+    for record in _due(draft):
         if record.retry_at is not None and record.is_tried:
             soon = max(draft.now, record.begun + _LEAST_SECONDS)
             _settle(draft, record._replace(retry_at=min(record.retry_at, soon)))
@@ -109,19 +110,19 @@ def retry_offers(draft: Draft) -> None:
 
 def settle_offers(draft: Draft) -> None:
     """Open what is due by now; what is not says again when it will be."""
-    for record in _by_name(draft):
+    for record in _due(draft):
         _settle(draft, record)
 
 
-def _by_name(draft: Draft) -> list[OfferRecord]:
-    return [record for _, record in sorted(draft.offers.items())]
+def _due(draft: Draft) -> list[OfferRecord]:
+    """Return the offers that wait for a time, by name."""
+    return [draft.offers[name] for name in sorted(draft.due)]
 
 
 def _begun(draft: Draft, name: str) -> OfferRecord:
     # What leaves may have the endpoint of what comes, which a framework gives once: it goes first,
     # but one that hangs as it closes holds up none for long.
-    is_alone = all(record.is_wanted for record in draft.offers.values())
-    return OfferRecord(name, retry_at=draft.now + (0.0 if is_alone else _LEAVING_SECONDS))
+    return OfferRecord(name, retry_at=draft.now + (_LEAVING_SECONDS if draft.leaving else 0.0))
 
 
 def _settle(draft: Draft, record: OfferRecord) -> None:
@@ -153,17 +154,24 @@ def _settle(draft: Draft, record: OfferRecord) -> None:
 def _leave(draft: Draft, record: OfferRecord) -> None:
     """Know an offer no more, or begin it anew; after the last of these what is new may open."""
     draft.offers = draft.offers.discard(record.name)
+    draft.due = draft.due.discard(record.name)
+    draft.leaving = draft.leaving.discard(record.name)
     draft.actions.append(Announce(f"offer {record.name}", OfferState.CLOSED.value))
     if record.is_renewed:
         _settle(draft, _begun(draft, record.name))
-    if all(other.is_wanted for other in draft.offers.values()):
-        for other in _by_name(draft):
-            if not other.is_tried and other.retry_at is not None:
+    if not draft.leaving:
+        for other in _due(draft):
+            if not other.is_tried:
                 _settle(draft, other._replace(retry_at=draft.now))
 
 
 def _keep(draft: Draft, record: OfferRecord) -> None:
     before = draft.offers.get(record.name) or OfferRecord(record.name)
     draft.offers = draft.offers.insert(record.name, record)
+    if record.retry_at != before.retry_at:
+        waits = record.retry_at is not None
+        draft.due = draft.due.insert(record.name) if waits else draft.due.discard(record.name)
+    if not record.is_wanted:
+        draft.leaving = draft.leaving.insert(record.name)
     if record.shown != before.shown:
         draft.actions.append(Announce(f"offer {record.name}", *record.shown))

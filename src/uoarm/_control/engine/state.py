@@ -257,6 +257,8 @@ class State:
         candidates: how many changes of candidates there were in this revision.
         replaced: the candidates that were superseded by the last of these, newest last.
         offers: what the manager keeps open in frameworks, and what of that closes, by name.
+        due: offers that wait for a time.
+        leaving: offers that are wanted no more, and close.
     """
 
     policy: FailoverPolicy
@@ -296,6 +298,9 @@ class State:
     candidates: int = 0
     replaced: tuple[frozenset[str], ...] = ()
     offers: HashTrieMap[str, OfferRecord] = NOTHING
+    # Kept as offers are: a look at all of them for each one that opens would be quadratic.
+    due: HashTrieSet[str] = NONE
+    leaving: HashTrieSet[str] = NONE
 
     def shared(self) -> tuple[ComponentRecord, ...]:
         """Return the instances that new users share, without those that only drain."""

@@ -73,6 +73,9 @@ class Offers:
         # Each entry is written in the lane of its offer, and read by any thread. With the number of
         # its opening, so that no report is taken for one of the next.
         self._opened: dict[str, tuple[int, OfferedFunction]] = {}
+        # By the id of a connection, the offer that it is behind; written in the same lane. A look
+        # at every offer after each event of a connection would be quadratic.
+        self._behind: dict[str, str] = {}
         self._working: set[int] = set()  # threads
         # Guards nothing: what is waited for is in the state, which is set before `WakeOffers`.
         self._changed = threading.Condition()
@@ -81,14 +84,17 @@ class Offers:
         """Open what is offered and keep it open; waits until each was tried once. Idempotent."""
         self._has_begun = True
         self.follow()
-        names = tuple(self._wanted)
+        left = list(self._wanted)
 
         def are_tried() -> bool:
-            # No generator, which would swallow a Ctrl-C that comes as `all` lets go of it.
-            for name in names:
-                record = self._owner.state.offers.get(name)
+            # Each is looked at until it was tried, and not again after that. No generator, which
+            # would swallow a Ctrl-C that comes as `all` lets go of it.
+            offers = self._owner.state.offers
+            while left:
+                record = offers.get(left[-1])
                 if record is not None and not record.is_tried:
                     return False
+                left.pop()
             return True
 
         self._wait(are_tried, timeout)
@@ -143,9 +149,10 @@ class Offers:
             return ev.OfferOpened(action.name, action.number, cause)
         finally:
             self._working.discard(threading.get_ident())
+        self._behind.update(dict.fromkeys(opened.connections, action.name))
         self._owner.post(ev.OfferOpened(action.name, action.number))
-        # What ended before it could be known whose connection it was.
-        self._judge(action.name, action.number, opened)
+        # What became of a connection before it was known whose it was.
+        self._look_at(action.name)
         return None
 
     def close_offer(self, action: act.CloseOffer) -> ev.Event:
@@ -154,6 +161,8 @@ class Offers:
         try:
             found = self._opened.pop(action.name, None)
             if found is not None:
+                for connection in found[1].connections:
+                    self._behind.pop(connection, None)
                 found[1].close()
         except Exception:  # noqa: BLE001 - it counts as closed, or it would never open again
             _log.exception("closing offer %s failed", action.name)
@@ -163,17 +172,21 @@ class Offers:
 
     def reported(self, event: HealthEvent) -> bool:
         """Take what a bridge reports; True where it concerns an offer and nothing else."""
-        channel, is_whole = event.channel, event.channel is None and event.component is None
-        is_ours = False
-        for name, (number, opened) in self._opened.copy().items():
-            is_own = event.component == name or (channel is not None and opened.owns(channel))
-            if event.bridge != opened.offer.bridge or not (is_whole or is_own):
-                continue
-            is_ours = is_ours or not is_whole
-            is_over = event.health in {Health.LOST, Health.FINISHED}
-            if (channel is None or not channel.closed) and (is_over or not is_whole):
-                self._owner.post(ev.OfferReported(name, number, event.health, event.cause))
-        return is_ours
+        channel = event.channel
+        if channel is None and event.component is None:
+            # Of a whole bridge, and of its components, too. A loss ends each of its offers.
+            if event.health in {Health.LOST, Health.FINISHED}:
+                for name, (number, opened) in self._opened.copy().items():
+                    if event.bridge == opened.offer.bridge:
+                        self._owner.post(ev.OfferReported(name, number, event.health, event.cause))
+            return False
+        name = event.component if channel is None else channel.endpoint.component
+        number, opened = self._opened.get(name or "", (0, None))
+        if opened is None or event.bridge != opened.offer.bridge:
+            return False
+        if channel is None or not channel.closed:
+            self._owner.post(ev.OfferReported(opened.offer.name, number, event.health, event.cause))
+        return True
 
     def statuses(self) -> tuple[OfferStatus, ...]:
         """Return what the status map shows of offers."""
@@ -193,7 +206,8 @@ class Offers:
     def connections_without(self, robot: Robot) -> frozenset[str]:
         """Return the connections behind offers that another configuration has no more."""
         there = self._opened.copy().values()
-        gone = (opened for _, opened in there if opened.offer not in robot.offers)
+        kept = {offer.name: offer for offer in robot.offers}
+        gone = (opened for _, opened in there if kept.get(opened.offer.name) != opened.offer)
         return frozenset(connection for opened in gone for connection in opened.connections)
 
     def _want(self, wanted: Mapping[str, Offer]) -> None:
@@ -210,7 +224,7 @@ class Offers:
                 self._owner.post(ev.OfferReported(name, number, Health.LOST, cause))
 
     def _has_left(self) -> bool:
-        return all(record.is_wanted for record in self._owner.state.offers.values())
+        return not self._owner.state.leaving
 
     def _wait(self, is_done: Callable[[], bool], timeout: float) -> None:
         # Code of a component may close the manager, or change the configuration, while an offer
@@ -235,13 +249,16 @@ class Offers:
         )
 
     def _note_event(self, event: StatusEvent) -> None:
-        """Look at every offer after what may have become of the connections behind it."""
-        if event.subject.startswith("connection ") and event.change in _CHANGES:
-            for name, (number, opened) in self._opened.copy().items():
-                opened.provider_changed()
-                self._judge(name, number, opened)
+        """Look at the offer that a connection is behind, of which something may have become."""
+        kind, _, identity = event.subject.partition(" ")
+        if kind == "connection" and event.change in _CHANGES:
+            self._look_at(self._behind.get(identity, ""))
 
-    def _judge(self, name: str, number: int, opened: OfferedFunction) -> None:
+    def _look_at(self, name: str) -> None:
+        number, opened = self._opened.get(name, (0, None))
+        if opened is None:  # it closes
+            return
+        opened.provider_changed()
         if opened.broken is not None:
             self._owner.post(ev.OfferReported(name, number, Health.LOST, opened.broken))
         elif opened.finished is not None:
