@@ -54,7 +54,39 @@ def structure(part: Callable[[int], str], around: str) -> Callable[[int], str]:
     return within(f"{HEAD}{component}structure: {{{before}", part, f"{after}}}}}}}]}}}}")
 
 
+def listed(key: str, item: str) -> Callable[[int], str]:
+    """Return what writes functions, and a key that names each of them."""
+    made, before, after = functions(COMPONENT), *key.split("...")
+    return lambda count: f"{made(count)}\n{before}{each(item)(count)}{after}"
+
+
 SHAPES = {
+    "offers": listed("offer: {p: {...}}", "f@: {output: {endpoint: ['x:y']}}"),
+    "offers in other bridges": listed("offer: {...}", "q@: {f@: {output: {endpoint: [a]}}}"),
+    "applications of functions": listed("applications: {...}", "a@: {needs: [f@]}"),
+    "an application of all": listed("applications: {a: {needs: [...]}}", "f@"),
+    "exports": listed("export: {all: [...]}", "f@"),
+    "recorded": listed("record: {functions: [...], path: a}", "f@"),
+    "machines": within(
+        "version: 1\nfunctions: {}\nhosts: {listen: tls/127.0.0.1:1, certificates: a}\nbridges: {",
+        each("b@: {plugin: python, host: {machine: m@}}"),
+        "}",
+    ),
+    "discovered": within(
+        HEAD + "functions:\n", each("  f@: {needs: {structure: {type: integer}}}", "\n")
+    ),
+    "types of parameters": functions(COMPONENT[:-1] + ", parameters: {a: @}}"),
+    "inputs": within(
+        HEAD + "functions: {f: {components: [{name: c, bridge: p, inputs: {",
+        each("i@: {endpoint: [a]}"),
+        "}}]}}",
+    ),
+    "inputs of outputs": within(
+        HEAD + "functions: {f: {components: [{name: c, bridge: p, inputs: {",
+        each("i@: {from: f.o@, endpoint: [a]}"),
+        "}}]}}",
+    ),
+    "failover of functions": listed("failover: {failing: {...}}", "f@: 1"),
     "functions": functions(COMPONENT),
     "functions without components": functions(""),
     "components": within(HEAD + "functions: {f: {components: [", each(COMPONENT), "]}}"),

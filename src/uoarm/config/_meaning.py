@@ -66,9 +66,12 @@ class MeaningChecker:
         self._functions: Mapping[str, Any] = function_names(document.value)
         self._components = list(components(document.value))
         self._offers = list(offers(document.value))
+        self._needs = needs(document.value)
         self._emitted: dict[str, _Emitted] = {}
+        self._providers: dict[str, list[ComponentPart]] = {}
         for component in self._components:
             self._emitted.setdefault(component.function, _Emitted()).add(component)
+            self._providers.setdefault(component.function, []).append(component)
         self.problems: list[Problem] = []
         self.warnings: list[Problem] = []
 
@@ -95,7 +98,7 @@ class MeaningChecker:
         """Return every declared structure with its path."""
         needed: list[tuple[Path, object]] = [
             (("functions", name, "needs", key), need[key])
-            for name, need in needs(self._document.value).items()
+            for name, need in self._needs.items()
             for key in ("structure", "request", "reply")
             if isinstance(need.get(key), dict)
         ]
@@ -136,7 +139,7 @@ class MeaningChecker:
                 self._refuse(
                     (*component.path, "bridge"), f"there is no bridge {clip(bridge)}", hint
                 )
-        for name in () if needs(self._document.value) else self._bridges:
+        for name in () if self._needs else self._bridges:
             if name not in used:
                 self._warn(
                     ("bridges", name), f"no component uses the bridge {clip(name)}", at_key=True
@@ -182,10 +185,8 @@ class MeaningChecker:
                 self._refuse(offer.path, sentence, hint, at_key=True)
                 continue
             self._check_ports(offer, "offer")
-            providers = [
-                component for component in self._components if component.function == offer.function
-            ]
-            is_open = offer.function in needs(self._document.value)
+            providers = self._providers.get(offer.function, [])
+            is_open = offer.function in self._needs
             if not providers or is_open or not all(provider.is_clear for provider in providers):
                 continue
             for port, kind, names in (
