@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uoarm._control.live.health import FailureRule
+from uoarm._dataplane import FailureRule
 from uoarm.model import FailureLimits, Health
 
 

@@ -15,10 +15,9 @@ from uoarm._control.engine.move import recently
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.driver import Driver
-from uoarm._control.live.health import FailureWatch
 from uoarm._control.live.revisions import Revision, Revisions
 from uoarm._control.live.threads import EventDispatcher, keep_newest
-from uoarm._dataplane import Clock, make_check
+from uoarm._dataplane import Clock, FailureWatch, make_check
 from uoarm._hints.applications import MessageType, as_message
 from uoarm._raised import is_raised
 from uoarm._spans import span

@@ -1,17 +1,27 @@
 """The data plane: how one message goes from where it arrives to where it is wanted."""
 
+from uoarm._dataplane._failures import (
+    Clock,
+    FailureRule,
+    FailureWatch,
+    InputWatch,
+    OutputWatch,
+)
 from uoarm._dataplane._outlet import Outlet
 from uoarm._dataplane._queue import BoundedQueue, Inbox, QueueClosed
-from uoarm._dataplane._route import Clock, Consumer, MessageCheck, Route
+from uoarm._dataplane._route import MessageCheck, Route
 from uoarm._dataplane._validation import make_check
 
 __all__ = [
     "BoundedQueue",
     "Clock",
-    "Consumer",
+    "FailureRule",
+    "FailureWatch",
     "Inbox",
+    "InputWatch",
     "MessageCheck",
     "Outlet",
+    "OutputWatch",
     "QueueClosed",
     "Route",
     "make_check",

@@ -6,8 +6,8 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
+from uoarm._dataplane._failures import OutputWatch
 from uoarm._dataplane._route import Route
 from uoarm.model import Message, message_octets
 
@@ -16,16 +16,6 @@ __all__ = ["Outlet"]
 _MOST_WRITERS = 1000
 _MOST_OCTETS = 64 * 1024 * 1024
 _DEPTH_WHILE_OPENING = 1000  # what the source keeps is known once it is open
-
-
-class Reader(Protocol):
-    """Takes in what a bridge could read at an output, so that the component is judged by it."""
-
-    def unreadable(self, why: str) -> None:
-        """Take in that a message came which cannot be read."""
-
-    def read(self) -> bool:
-        """Take in that something could be read; say whether that matters the next time, too."""
 
 
 class _Turn:
@@ -151,7 +141,7 @@ class Outlet:
         "undelivered",
     )
 
-    def __init__(self, reader: Reader | None = None) -> None:
+    def __init__(self, reader: OutputWatch | None = None) -> None:
         self._reader = reader
         self._is_suspected = False  # written by the source alone, which has one thread at a time
         # Replaced as a whole and never changed, so that `deliver` reads it without a lock: a

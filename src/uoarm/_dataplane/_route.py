@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from typing import Protocol
 
+from uoarm._dataplane._failures import Clock, InputWatch
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
 from uoarm._raised import LimitedLog, contained, is_raised, text_of
 from uoarm.errors import CommandRefusedError, MessageError, UoarmError
@@ -14,16 +14,11 @@ from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
 __all__ = [
     "SAMPLE_EVERY",
-    "Clock",
-    "Consumer",
     "Judge",
     "MessageCheck",
-    "ObservedComponent",
     "Route",
 ]
 
-Clock = Callable[[], float]
-"""Returns a monotonic clock, in seconds."""
 Judge = Callable[[Message, bool], None]
 """Raises MessageError for a message that is not what it should be, as it came or adapted."""
 
@@ -34,28 +29,6 @@ _WORKER_SECONDS = 1.0
 _LOSSES = frozenset({"queue-full", "queue-octets", "blocked-too-long"})
 
 _log = logging.getLogger("uoarm")
-
-
-class ObservedComponent(Protocol):
-    """A component, as far as the data plane knows it."""
-
-    @property
-    def is_alert(self) -> bool:
-        """Whether a success should be reported; read for each message, so a plain attribute."""
-
-
-class Consumer(Protocol):
-    """Called by a route with what became of messages, so that the right part is blamed."""
-
-    @property
-    def component(self) -> ObservedComponent:
-        """Whose messages they are."""
-
-    def took(self) -> None:
-        """Take in that a message was taken."""
-
-    def raised(self, error: Exception) -> bool:
-        """Take in what a message came to; say whether it is accounted for and logged there."""
 
 
 class MessageCheck:
@@ -163,7 +136,7 @@ class Route:
         transfer: Callable[[Message], Message] | None = None,
         check: MessageCheck | None = None,
         queue: QueuePolicy | None = None,
-        watch: Consumer | None = None,
+        watch: InputWatch | None = None,
     ) -> None:
         self.producer = producer
         self.consumer = consumer

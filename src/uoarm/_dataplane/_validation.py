@@ -7,12 +7,13 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from attrs import define, field
 
 from uoarm._dataplane._compiled_check import Accepts, compile_check
-from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck, ObservedComponent
+from uoarm._dataplane._failures import OutputWatch
+from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck
 from uoarm._mistakes import mistakes
 from uoarm._spelling import Speller
 from uoarm._support.yaml import Path, clip
@@ -30,25 +31,11 @@ _SHOWN = 10
 _LONG = 10**40  # of these Python writes no more than 4,300 digits
 
 
-class Producer(Protocol):
-    """Takes what a check found, so that the component that gave a mismatch is judged by it."""
-
-    @property
-    def component(self) -> ObservedComponent:
-        """Whose messages they are; it says whether one that matches should be reported."""
-
-    def took(self) -> None:
-        """Take in that a message matched."""
-
-    def mismatched(self, error: MessageError) -> None:
-        """Take in that a message did not match."""
-
-
 def make_check(
     structure: MessageStructure,
     mode: ValidationMode,
     place: str,
-    watch: Producer | None = None,
+    watch: OutputWatch | None = None,
     *,
     is_suspected: bool = False,
 ) -> MessageCheck | None:
@@ -92,7 +79,7 @@ def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Mess
     return check
 
 
-def _reporting(check: Callable[[Message], None], watch: Producer) -> Callable[[Message], None]:
+def _reporting(check: Callable[[Message], None], watch: OutputWatch) -> Callable[[Message], None]:
     def check_and_report(message: Message) -> None:
         try:
             check(message)

@@ -13,9 +13,17 @@ from attrs import define, evolve, field
 
 from uoarm._adapt import transfer
 from uoarm._control.live.bridges import facts_of
-from uoarm._control.live.health import FailureWatch, InputWatch, OutputWatch
 from uoarm._control.live.safety import EmergencyStop, InputLease
-from uoarm._dataplane import Clock, MessageCheck, Outlet, Route, make_check
+from uoarm._dataplane import (
+    Clock,
+    FailureWatch,
+    InputWatch,
+    MessageCheck,
+    Outlet,
+    OutputWatch,
+    Route,
+    make_check,
+)
 from uoarm._raised import foreign, text_of
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError, UoarmError

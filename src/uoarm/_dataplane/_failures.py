@@ -11,12 +11,14 @@ from collections.abc import Callable, Hashable
 
 from attrs import define, field, frozen
 
-from uoarm._dataplane import Clock
 from uoarm._raised import LimitedLog, is_raised, text_of
 from uoarm.errors import MessageError
 from uoarm.model import FailureLimits, Health
 
-__all__ = ["FailureRule", "FailureWatch", "InputWatch", "Notify", "OutputWatch"]
+__all__ = ["Clock", "FailureRule", "FailureWatch", "InputWatch", "Notify", "OutputWatch"]
+
+Clock = Callable[[], float]
+"""Returns a monotonic clock, in seconds."""
 
 
 @define
@@ -121,7 +123,8 @@ class FailureWatch:
             not match.
         last_error: of the last of these, empty when there was none.
         cause: of the verdict, empty when it is well.
-        is_alert: whether successes count, too: it has failed and is not well again.
+        is_alert: whether successes count, too: it has failed and is not well again. Read for
+            each message, so a plain attribute.
     """
 
     def __init__(self, name: str, limits: FailureLimits, clock: Clock, notify: Notify) -> None:
