@@ -74,7 +74,7 @@ WITHIN = {
     "_control": [
         {"engine", "offered_function"},
         {"live"},
-        {"discovery", "connection"},
+        {"candidates", "connection"},
         {"requests", "configuration_changes"},
         {"robot_view"},
         {"robot_manager"},

@@ -10,7 +10,7 @@ import pytest
 from attrs import evolve
 
 from uoarm import RobotManager
-from uoarm._control import discovery
+from uoarm._resolve import _discovery as discovery
 from uoarm.bridge import Description, Discovered
 from uoarm.config import loads, suggest
 from uoarm.model import BridgeFindings, Endpoint, FoundComponent, Robot, Role, Schema

@@ -11,7 +11,7 @@ import pytest
 from attrs import evolve
 
 from uoarm import BridgeTimeoutError, Connection, ResolutionError, RobotManager
-from uoarm._control import discovery
+from uoarm._control import candidates
 from uoarm._dataplane import Clock
 from uoarm._resolve import add_candidates
 from uoarm.bridge import Description, Discovered
@@ -70,8 +70,8 @@ class Lab:
 
 @pytest.fixture
 def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
-    monkeypatch.setattr(discovery, "_EVERY_SECONDS", 0.05)
-    monkeypatch.setattr(discovery, "_SETTLE_SECONDS", 0.0)
+    monkeypatch.setattr(candidates, "_EVERY_SECONDS", 0.05)
+    monkeypatch.setattr(candidates, "_SETTLE_SECONDS", 0.0)
     made = Lab()
     yield made
     made.far.may_answer.set()
@@ -203,7 +203,7 @@ def test_of_a_thousand_that_come_and_go_between_two_rounds_only_the_last_state_c
 def test_who_asks_first_waits_for_what_a_framework_learns_after_its_start(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(discovery, "_SETTLE_SECONDS", patience())
+    monkeypatch.setattr(candidates, "_SETTLE_SECONDS", patience())
     lab.lab.emitter("head", NUMBER)
     lab.lab.hidden.add("head")
     lab.lab.shown_at = 3
@@ -214,8 +214,8 @@ def test_who_asks_first_waits_for_what_a_framework_learns_after_its_start(
 def test_a_slow_bridge_delays_no_candidate_but_who_asks_waits_for_its_first_answer(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(discovery, "_ASK_SECONDS", 10 * patience())
-    monkeypatch.setattr(discovery, "_GRACE_SECONDS", 0.0)
+    monkeypatch.setattr(candidates, "_ASK_SECONDS", 10 * patience())
+    monkeypatch.setattr(candidates, "_GRACE_SECONDS", 0.0)
     lab.lab.emitter("small", SMALL)
     lab.far.emitter("exact", NUMBER)
     lab.far.may_answer.clear()
@@ -264,7 +264,7 @@ def test_what_is_requested_while_a_round_is_proving_stays_as_it_runs(
             faces.append(manager.request("face"))
         return found
 
-    monkeypatch.setattr(discovery, "add_candidates", request_when_proven)
+    monkeypatch.setattr(candidates, "add_candidates", request_when_proven)
     with lab.manager(text) as manager:
         assert manager.resolve("face").steps[0].component.function == "camera"
         lab.lab.hidden.clear()

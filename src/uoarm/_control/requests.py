@@ -8,8 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
-from uoarm._control.discovery import CandidateWatch
 from uoarm._control.engine.events import Requested
 from uoarm._control.engine.move import recently
 from uoarm._control.live.bridges import BridgeSet

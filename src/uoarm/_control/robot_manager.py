@@ -16,9 +16,9 @@ from typing import Any, final, overload
 from uoarm import config
 from uoarm import record as recorder
 from uoarm._arguments import arguments
+from uoarm._control.candidates import CandidateWatch
 from uoarm._control.configuration_changes import KeptFile
 from uoarm._control.connection import Connection
-from uoarm._control.discovery import CandidateWatch, Discovery
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
@@ -32,6 +32,7 @@ from uoarm._figures import observe
 from uoarm._hints.applications import MessageType, T
 from uoarm._interrupts import Uninterrupted
 from uoarm._mistakes import choose
+from uoarm._resolve import Discovery
 from uoarm._support import deadlines
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.errors import (

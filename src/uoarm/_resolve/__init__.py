@@ -10,10 +10,12 @@ from uoarm._resolve._catalogue import (
     Structures,
     Unavailable,
 )
+from uoarm._resolve._discovery import Discovery, check_availability, with_rates
 from uoarm._resolve._proofs import Proofs
 from uoarm._resolve._resolver import NoPlanError, Resolver
 
 __all__ = [
+    "Discovery",
     "EdgeCheck",
     "Hold",
     "Judgement",
@@ -25,6 +27,8 @@ __all__ = [
     "Structures",
     "Unavailable",
     "add_candidates",
+    "check_availability",
     "keep_candidates",
+    "with_rates",
     "without_candidates",
 ]

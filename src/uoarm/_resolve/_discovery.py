@@ -1,7 +1,4 @@
-"""What bridges see: all are asked at once, each within a limit.
-
-And what follows from it: which components can be had, and candidates for functions with needs.
-"""
+"""What bridges see now, and what can be had: all are asked at once, each within a limit."""
 
 from __future__ import annotations
 
@@ -11,19 +8,15 @@ import threading
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import TypeAlias, TypeVar
 
-from attrs import define, evolve, field
+from attrs import define, evolve
 
-from uoarm._control.live.driver import Driver
-from uoarm._control.live.revisions import Revisions
-from uoarm._dataplane import Clock
-from uoarm._resolve import Proofs, StructureCache, Structures, Unavailable, add_candidates
+from uoarm._resolve._catalogue import StructureCache, Unavailable
 from uoarm._support import deadlines
 from uoarm._support.workers import WorkerPool
-from uoarm.bridge import Bridge, BridgeType, Description, Discovered
-from uoarm.errors import BridgeTimeoutError, ResolutionError, UoarmError
+from uoarm.bridge import Bridge, Description, Discovered
+from uoarm.errors import ResolutionError, UoarmError
 from uoarm.model import (
     Availability,
     BridgeFindings,
@@ -40,7 +33,7 @@ from uoarm.model import (
     message_octets,
 )
 
-__all__ = ["CandidateWatch", "Discovery", "DiscoveryRounds", "check_availability", "with_rates"]
+__all__ = ["Discovery", "check_availability", "with_rates"]
 
 _REST = 4.0
 _MOST_PORTS = 10_000
@@ -328,232 +321,6 @@ def with_rates(
 
 def _place(endpoint: Endpoint) -> _Place:
     return endpoint.bridge, endpoint.role, endpoint.address
-
-
-_EVERY_SECONDS = 2.0
-# Frameworks learn of each other after their start, ROS 2 within a second or two.
-_SETTLE_SECONDS = 3.0
-_SETTLE_EVERY = 0.25
-_ASK_SECONDS = 5.0
-_GRACE_SECONDS = 1.0
-_TURN_SECONDS = 1.0
-_KEPT_ANSWERS = 3
-
-
-@define(eq=False)
-class DiscoveryRounds:
-    """When bridges are asked, and when all of that is known which can be expected.
-
-    Attributes:
-        matched: the configuration that has its candidates.
-    """
-
-    matched: Robot | None = None
-    _settling: Robot | None = field(default=None, init=False)
-    _settles_at: float = field(default=0.0, init=False)
-
-    def ended(
-        self, base: Robot, begun: float, now: float, *, is_whole: bool, has_all: bool
-    ) -> float:
-        """Note a round; return the seconds until the next one.
-
-        Args:
-            base: the configuration that it was for.
-            begun: when it began.
-            now: when it ended.
-            is_whole: whether every bridge has answered, now or before.
-            has_all: whether every function with needs has a candidate.
-        """
-        if self._settling is not base or not is_whole:  # the last one may have just started
-            self._settling, self._settles_at = base, now + _SETTLE_SECONDS
-        is_settled = is_whole and (now >= self._settles_at or has_all)
-        if not is_settled:
-            return _SETTLE_EVERY  # requests wait, and rounds in which hosts start are long
-        self.matched = base
-        return max(_EVERY_SECONDS, _REST * (now - begun))
-
-
-class UndescribedComponents:
-    """Components whose structures were not to be had lately: each is asked again after a rest.
-
-    For one that is not there a bridge waits as long as it may, and no round ends meanwhile. As
-    rounds do, asking for one component takes a fifth of the time at most.
-    """
-
-    def __init__(self) -> None:
-        self._base: Robot | None = None
-        self._found: dict[str, tuple[Unavailable, float]] = {}
-
-    def known(self, base: Robot, name: str, now: float) -> Unavailable | None:
-        """Return why a component's structures were not to be had, until it is to be asked again."""
-        if base is not self._base:
-            self._base, self._found = base, {}
-        found, due = self._found.get(name, (None, now))
-        return found if now < due else None
-
-    def note(self, name: str, found: Unavailable, begun: float, now: float) -> None:
-        """Note why a component's structures were not to be had; it was asked at `begun`."""
-        self._found = {key: kept for key, kept in self._found.items() if now < kept[1]}
-        self._found[name] = found, now + _REST * (now - begun)
-
-
-class CandidateWatch:
-    """Has discovered components for candidates, while a configuration has functions with needs.
-
-    One thread asks all bridges in rounds, two seconds apart, or four times as long as a round
-    takes; a component whose structures are not to be had is asked again as seldom. However often
-    components come and go meanwhile, a round changes the candidates once at most. The thread begins
-    with the first who needs candidates. A bridge that answers later than others is in a later
-    round, and one that fails shows what it showed before, for three answers. In a new
-    configuration's first three seconds the rounds follow each other closely, however long they
-    take, until every function with needs has a candidate: so long those wait who ask for one, and
-    until each bridge has answered once.
-
-    Args:
-        driver: takes the change, but for what is in use then.
-        types: of bridges, by plugin; they know topics.
-    """
-
-    def __init__(
-        self,
-        revisions: Revisions,
-        driver: Driver,
-        get: Callable[[str], Bridge],
-        types: Mapping[str, BridgeType],
-        clock: Clock,
-    ) -> None:
-        self._revisions = revisions
-        self._driver = driver
-        self._types = types
-        self._clock = clock
-        self._proofs = Proofs(clock)
-        self._rounds = DiscoveryRounds()
-        self._undescribed = UndescribedComponents()
-        # Guards what is known of rounds; requests wait on it for candidates, and the thread for a
-        # close.
-        self._changed = threading.Condition()
-        self._thread: threading.Thread | None = None
-        self._is_closed = False
-        self._discovery = Discovery(get, _KEPT_ANSWERS)
-        self._step = "no bridge was asked yet"
-
-    def wait(self, timeout: float) -> float:
-        """Wait until the configuration in force has its candidates; at once without needs.
-
-        Returns:
-            How many of the seconds are left.
-
-        Raises:
-            BridgeTimeoutError: it has none in time; the text says what is waited for.
-        """
-        if not self._revisions.current.needs_candidates:
-            return timeout
-        deadline = time.monotonic() + timeout
-        with self._changed:
-            if self._thread is None and not self._is_closed:
-                self._thread = threading.Thread(
-                    target=self._run, name="uoarm-candidates", daemon=True
-                )
-                self._thread.start()
-            self._changed.notify_all()  # the thread may rest, and not know this configuration
-            if not self._changed.wait_for(self._is_known, timeout):
-                said = "bridges have not yet listed what components they see"
-                text = f"{said}, after {timeout:g} s: {self._step}"
-                raise BridgeTimeoutError(text)
-        return max(0.1, round(deadline - time.monotonic(), 1))
-
-    def close(self) -> None:
-        """Ask bridges no more. Idempotent; waits for a round no longer than a second."""
-        with self._changed:
-            self._is_closed = True
-            self._changed.notify_all()
-        self._discovery.close()
-        thread = self._thread
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(_TURN_SECONDS)
-
-    def _run(self) -> None:
-        while True:
-            begun = self._clock()
-            revision = self._revisions.current
-            base = revision.base
-            try:
-                if revision.needs_candidates:
-                    self._round(base)
-            except UoarmError as error:
-                _log.warning("looking for candidates failed: %s", error)
-            except Exception:  # noqa: BLE001 - the next round may do better
-                _log.exception("looking for candidates failed")
-            has_all = self._has_all(base)
-            with self._changed:
-                pause = self._rounds.ended(
-                    base, begun, self._clock(), is_whole=self._discovery.is_whole, has_all=has_all
-                )
-                self._changed.notify_all()
-                self._changed.wait_for(partial(self._is_outdated, base), pause)
-                if self._is_closed:
-                    return
-
-    def _is_known(self) -> bool:
-        return self._is_closed or self._rounds.matched is self._revisions.current.base
-
-    def _is_outdated(self, base: Robot) -> bool:
-        return self._is_closed or base is not self._revisions.current.base
-
-    def _has_all(self, base: Robot) -> bool:
-        """Say whether every function with needs has a candidate that was discovered."""
-        revision = self._revisions.current
-        return revision.base is base and all(
-            any(component.match is not None for component in function.components)
-            for function in revision.robot.functions.values()
-            if function.needs is not None
-        )
-
-    def _round(self, base: Robot) -> None:
-        self._step = "bridges are started, and asked what they see"
-        findings = self._discovery.look(base, _ASK_SECONDS, _GRACE_SECONDS)
-        types, bridges = self._types, base.bridges
-
-        def topic(end: Endpoint) -> str | None:
-            kind = types.get(bridges[end.bridge].plugin)
-            if kind is None or kind.topic is None:
-                return None
-            return kind.topic(end.address, end.options) or None
-
-        revision = self._revisions.current
-        asked: dict[str, Structures | Unavailable] = {}
-
-        def structures(component: Component) -> Structures | Unavailable:
-            name = component.name
-            if name in asked:
-                return asked[name]
-            begun = self._clock()
-            found: Structures | Unavailable | None = self._undescribed.known(base, name, begun)
-            if found is None:
-                self._step = f"bridge {component.bridge!r} is asked for the structures of {name!r}"
-                found = revision.structures.structures(component)
-                if isinstance(found, Unavailable):
-                    self._undescribed.note(name, found, begun, self._clock())
-            asked[name] = found
-            return found
-
-        for item in base.components():
-            if item.outputs:
-                structures(item)  # before the time for proofs begins
-        self._step = "what bridges see is compared with what functions need"
-        self._proofs.begin_round()
-        robot = add_candidates(
-            base,
-            findings,
-            structures=structures,
-            topic=topic,
-            proofs=self._proofs,
-        )
-        if self._proofs.unjudged:
-            _log.info("%d pairs of structures wait to be compared", self._proofs.unjudged)
-        with self._revisions.alone(_TURN_SECONDS):
-            if self._revisions.current.base is base:
-                self._driver.change_candidates(robot)
 
 
 _AT_ONCE = 16
