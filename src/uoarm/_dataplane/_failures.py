@@ -144,6 +144,8 @@ class FailureWatch:
     @property
     def health(self) -> Health:
         """The verdict."""
+        # Of a copy: it is read without the lock too, and the first message of another output adds
+        # a rule meanwhile.
         rules = tuple(self._rules.values())
         return max((rule.health for rule in rules), key=_ORDER.index, default=Health.OK)
 
@@ -194,6 +196,8 @@ class FailureWatch:
                 rule = self._rules[judged] = FailureRule(self._limits)
             rule.note(taken, failed, self._clock())
             health, count = self.health, self.failed
+            # Routes read this without the lock. One that reads it late leaves out a success, which
+            # delays that the component is well, and never a failure.
             self.is_alert = health is not Health.OK
             # Within the lock, so that verdicts are reported in their order.
             if health is not before:
@@ -224,6 +228,7 @@ class InputWatch:
 
     def took(self) -> None:
         """Take in that a message was taken, unless the channel reports that itself."""
+        # Else it would count twice: as it was sent, and as the channel reports it.
         if not self.is_later:
             self.component.took()
 
@@ -245,6 +250,7 @@ class InputWatch:
         if failed or (taken and self.component.is_alert):
             self.component.note_later_report(self._place, taken, failed, text)
         if wrong:
+            # Of a copy: edges of this input open and close in other threads meanwhile.
             for suspect in tuple(self.suspect.values()):
                 suspect()
 
@@ -257,6 +263,8 @@ class OutputWatch:
     def __init__(self, component: FailureWatch, port: str) -> None:
         self.component = component
         self._port = port
+        # Another key than that of its messages, the name alone: what can be read at all need not
+        # match, so neither may make good the failures of the other.
         self._reading = "reading", port
 
     def took(self) -> None:
