@@ -55,6 +55,7 @@ LAYERS = [
     {"local"},
     {"environments"},
     {"_dataplane"},
+    {"_safety"},
     {"record"},
     {"_host"},
     {"config"},
@@ -62,6 +63,7 @@ LAYERS = [
     {"_lock"},
     {"_types"},
     {"_control"},
+    {"_aio"},
     {"__init__"},
     {"testing", "_pytest_plugin"},
     {"server", "client"},
@@ -78,7 +80,6 @@ WITHIN = {
         {"requests", "configuration_changes"},
         {"robot_view"},
         {"robot_manager"},
-        {"aio"},
         {"__init__"},
     ],
     "schema": [

@@ -33,7 +33,8 @@ from uoarm.errors import (
 )
 
 if TYPE_CHECKING:
-    from uoarm._control import AsyncConnection, AsyncRobotManager, Connection, RobotManager
+    from uoarm._aio import AsyncConnection, AsyncRobotManager
+    from uoarm._control import Connection, RobotManager
     from uoarm.model import (
         OverflowPolicy,
         Plan,
@@ -73,7 +74,8 @@ if not TYPE_CHECKING:
     __getattr__, __dir__ = deferred(
         __name__,
         {
-            "_control": ("AsyncConnection", "AsyncRobotManager", "Connection", "RobotManager"),
+            "_aio": ("AsyncConnection", "AsyncRobotManager"),
+            "_control": ("Connection", "RobotManager"),
             "model": (
                 "OverflowPolicy",
                 "Plan",

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from uoarm._control.live.safety import InputLease, Lease
+from uoarm._safety import InputLease, Lease
 from uoarm.errors import CommandRefusedError
 from uoarm.model import LeaseHolder, LeasePolicy
 from uoarm.testing import patience

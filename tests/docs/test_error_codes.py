@@ -56,7 +56,7 @@ def test_a_code_is_one_entry_and_entries_stand_in_order() -> None:
 
 def test_every_class_of_errors_has_a_code_that_is_explained() -> None:
     for module in pkgutil.walk_packages(uoarm.__path__, "uoarm."):
-        if module.name in {"uoarm._control.aio", "uoarm.server.front_end", "uoarm.client"}:
+        if module.name in {"uoarm._aio", "uoarm.server.front_end", "uoarm.client"}:
             import_module(module.name)
     # Classes that tests define have the code of what they are derived from.
     assert {kind.error_code for kind in classes()} <= set(ERROR_CODES)

@@ -133,7 +133,7 @@ def test_a_call_under_way_is_cancelled_and_the_next_is_refused(
 def test_what_cannot_be_cancelled_is_reported_as_not_stopped(
     robot: RobotManager, arms: Arms, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uoarm._control.live.safety._SHARE", 0.0)
+    monkeypatch.setattr("uoarm._safety._SHARE", 0.0)
     arms.can_cancel = False
     thread = threading.Thread(target=lambda: robot.call("reach", 1.0, timeout=2 * patience()))
     thread.start()

@@ -17,7 +17,7 @@ from tests.server.conftest import Serve
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
-from uoarm._control.live.safety import StopFile
+from uoarm._safety import StopFile
 from uoarm.bridge import Registry
 from uoarm.cli import main
 from uoarm.client import ServerError, connect

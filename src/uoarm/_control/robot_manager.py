@@ -22,7 +22,6 @@ from uoarm._control.connection import Connection
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
-from uoarm._control.live.safety import EmergencyStop, StopFile
 from uoarm._control.live.staleness import StalenessWatch
 from uoarm._control.live.threads import EventDispatcher
 from uoarm._control.requests import Requests, Services
@@ -33,6 +32,7 @@ from uoarm._hints.applications import MessageType, T
 from uoarm._interrupts import Uninterrupted
 from uoarm._mistakes import choose
 from uoarm._resolve import Discovery
+from uoarm._safety import EmergencyStop, StopFile
 from uoarm._support import deadlines
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.errors import (

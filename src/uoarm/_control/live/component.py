@@ -13,7 +13,6 @@ from attrs import define, evolve, field
 
 from uoarm._adapt import transfer
 from uoarm._control.live.bridges import facts_of
-from uoarm._control.live.safety import EmergencyStop, InputLease
 from uoarm._dataplane import (
     Clock,
     FailureWatch,
@@ -25,6 +24,7 @@ from uoarm._dataplane import (
     make_check,
 )
 from uoarm._raised import foreign, text_of
+from uoarm._safety import EmergencyStop, InputLease
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError, UoarmError
 from uoarm.model import (

@@ -32,7 +32,6 @@ from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDeliv
 from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.live.revisions import Revisions, StagedRevision
-from uoarm._control.live.safety import EmergencyStop
 from uoarm._control.live.threads import EventDispatcher, Job, Lanes, Timer, keep_newest
 from uoarm._control.offered_function import Functions
 from uoarm._dataplane import Clock
@@ -40,6 +39,7 @@ from uoarm._forks import generation
 from uoarm._interrupts import Uninterrupted
 from uoarm._raised import foreign
 from uoarm._resolve import keep_candidates
+from uoarm._safety import EmergencyStop
 from uoarm._spans import current, span
 from uoarm._support import deadlines
 from uoarm._support.workers import WorkerPool

@@ -30,8 +30,8 @@ from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.component import LiveComponent, LiveEdge
 from uoarm._control.live.connection_runtime import ConnectionRuntime, CountedRoute
-from uoarm._control.live.safety import EmergencyStop
 from uoarm._dataplane import Clock, FailureWatch
+from uoarm._safety import EmergencyStop
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.model import Component, ComponentStatus, Health, ValidationMode
