@@ -176,16 +176,16 @@ class Offers:
         if channel is None and event.component is None:
             # Of a whole bridge, and of its components, too. A loss ends each of its offers.
             if event.health in {Health.LOST, Health.FINISHED}:
-                for name, (number, opened) in self._opened.copy().items():
+                for offer, (number, opened) in self._opened.copy().items():
                     if event.bridge == opened.offer.bridge:
-                        self._owner.post(ev.OfferReported(name, number, event.health, event.cause))
+                        self._owner.post(ev.OfferReported(offer, number, event.health, event.cause))
             return False
-        name = event.component if channel is None else channel.endpoint.component
-        number, opened = self._opened.get(name or "", (0, None))
-        if opened is None or event.bridge != opened.offer.bridge:
+        name = (event.component or "") if channel is None else channel.endpoint.component
+        found = self._opened.get(name)
+        if found is None or event.bridge != found[1].offer.bridge:
             return False
         if channel is None or not channel.closed:
-            self._owner.post(ev.OfferReported(opened.offer.name, number, event.health, event.cause))
+            self._owner.post(ev.OfferReported(name, found[0], event.health, event.cause))
         return True
 
     def statuses(self) -> tuple[OfferStatus, ...]:
@@ -255,9 +255,10 @@ class Offers:
             self._look_at(self._behind.get(identity, ""))
 
     def _look_at(self, name: str) -> None:
-        number, opened = self._opened.get(name, (0, None))
-        if opened is None:  # it closes
+        found = self._opened.get(name)
+        if found is None:  # it closes
             return
+        number, opened = found
         opened.provider_changed()
         if opened.broken is not None:
             self._owner.post(ev.OfferReported(name, number, Health.LOST, opened.broken))
