@@ -239,6 +239,23 @@ def test_a_component_in_the_middle_stays_open_when_its_feed_is_replaced(make: Ma
     assert report.cause.endswith("; next goes on")
 
 
+def test_why_nothing_takes_over_is_a_warning_once(
+    make: Make, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    stage, opened = make(FailoverPolicy(wait=patience())), list[str]()
+
+    def fail(endpoint: Endpoint, *_: Any) -> Channel:
+        opened.append(endpoint.address[0])
+        raise BridgeError(f"{endpoint.address[0]} is busy")
+
+    connection = stage.robot.request("camera")
+    monkeypatch.setattr(stage.two, "_open_source", fail)
+    stage.one.die("best")
+    wait(lambda: opened.count("last") > 4)
+    connection.kill()
+    assert caplog.text.count("next is busy") == caplog.text.count("last is busy") == 1
+
+
 def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> None:
     stage = make()
     one, two = stage.robot.request("face"), stage.robot.request("camera")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -25,6 +26,8 @@ Gone: TypeAlias = tuple[LiveComponent, ...]
 _GAPS = 1000
 _GAP_OCTETS = 64 * 1024
 _RECENT = 8
+_WARNINGS = 16
+_log = logging.getLogger("uoarm")
 
 
 class CountedRoute(Protocol):
@@ -193,6 +196,18 @@ class ConnectionRuntime:
         # By the plan that ended: put as the next one takes over, taken by the close that knows what
         # was lost, which may be half a minute later.
         self._uncounted: dict[str, Gap] = {}
+        self._warned: set[str] = set()
+
+    def warn(self, text: str) -> None:
+        """Write a warning; the same once more, until another plan runs, is for debugging.
+
+        What waits searches every five seconds at the least, and may fail for days.
+        """
+        level = logging.DEBUG if text in self._warned else logging.WARNING
+        if len(self._warned) >= _WARNINGS:
+            self._warned.clear()
+        self._warned.add(text)
+        _log.log(level, "connection %s: %s", self.id, text)
 
     def publish(self, record: ConnectionRecord) -> None:
         """Show the connection as it is now; at its end, its inbox closes."""
@@ -217,6 +232,7 @@ class ConnectionRuntime:
             ports: where the application touches the next one.
         """
         before, after = action.before, action.after
+        self._warned.clear()
         # Ports before the receiver: who sends on the first message of the next plan sends into it.
         self.ports = ports
         self.receiver.deliver_from(ports.route, ports.outlet)

@@ -433,7 +433,9 @@ class Driver:
             case act.WakeAt():
                 self.timer.wake_at(action.time)
             case act.Warn():
-                _log.warning("connection %s: %s", action.connection, action.text)
+                runtime = self.live.runtimes.get(action.connection)
+                if runtime is not None:  # else its request was given up
+                    runtime.warn(action.text)
 
     def _call(
         self,
