@@ -6,6 +6,7 @@ import atexit
 import os
 import shutil
 import signal
+import sys
 import tempfile
 from pathlib import Path
 
@@ -68,6 +69,9 @@ def isolate() -> None:
     Temporary folders, pytest's own excepted, lie in one folder that goes when the process ends.
     """
     _restore_signals()
+    # Pytest rewrites what it imports, the whole of uoarm included, in each worker: once is enough,
+    # also where the shell says that Python keeps none of it. Workers get this from here.
+    sys.dont_write_bytecode = False
     before = dict(os.environ)
     home = Path.home()
     kept = {name: value for name, value in before.items() if _is_kept(name)}
