@@ -167,6 +167,35 @@ def test_a_parameter_that_is_found_twice_was_set_once(tmp_path: Any) -> None:
             assert collector.wait(2, patience()) == [1, 2]
 
 
+def test_a_parameter_that_is_set_as_a_new_master_is_found_without_it_was_set_once(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The master reports what is set after the registration, which found nothing."""
+    with running(tmp_path / "master") as world:
+        peer = world.peer("setting")
+        peer.do("set_param", name="/speed", value=1)
+        with bridge_to(world) as bridge:
+            collector = Collector()
+            bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
+            assert collector.wait(1, patience()) == [1]
+            node: Any = cast("Any", bridge)._node
+            watch = node.master.watch_parameter
+
+            def set_meanwhile(key: str) -> Any:
+                found = watch(key)
+                if found == {}:
+                    peer.do("set_param", name=key, value=2)
+                    collector.wait(2, patience())
+                return found
+
+            monkeypatch.setattr(node.master, "watch_parameter", set_meanwhile)
+            world.kill()
+            world.start()
+            assert collector.wait(2, patience()) == [1, 2]
+            peer.do("set_param", name="/speed", value=3)
+            assert collector.wait(3, patience()) == [1, 2, 3]
+
+
 @pytest.mark.parametrize("kind", ["topic", "subscription", "service"])
 def test_what_is_closed_while_it_is_registered_again_does_not_stay(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch, kind: str

@@ -511,8 +511,9 @@ class Ros1ParameterSource(Source):
             if key != self._name:  # one within it: the whole is asked for
                 value = _ABSENT
             # The bridge's look at the master may register anew between the entry in the node's
-            # table and the first registration: both find the same value, which was set once.
-            elif not is_set and value == self._last:
+            # table and the first registration: both find the same value, which was set once. A new
+            # master that has none reports the next one: asked for it, both would bring it.
+            elif not is_set and value in (self._last, _ABSENT):
                 return
             self._last = value
             self._queue.put(value)
