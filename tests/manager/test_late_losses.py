@@ -94,14 +94,16 @@ class LostThree(Source):
         return {"lost_on_link": 3}
 
 
-class Ended:
+class Ended(Route):
     """A route that has ended, and drops another message at each look."""
 
-    dropped = 0
+    def __init__(self) -> None:
+        super().__init__("p.out", "c.in", print, clock=ManualClock())
+        self.looks = 0
 
     def status(self) -> RouteStatus:
-        self.dropped += 1
-        return RouteStatus("p.out", "c.in", self.dropped, 0, (("closed", self.dropped),))
+        self.looks += 1
+        return RouteStatus("p.out", "c.in", self.looks, 0, (("closed", self.looks),))
 
 
 def finder(bridge: Bridge) -> LiveComponent:
@@ -160,11 +162,11 @@ def test_a_route_that_ended_is_looked_at_until_eight_others_have_ended() -> None
     account.settle((), (first,))
     for _ in range(7):
         account.settle((), (Ended(),))
-    first.dropped = 100
+    first.looks = 100
     (ended,) = account.ended
     assert dict(ended.dropped)["closed"] == 101 + 7
     account.settle((), (Ended(),))
-    first.dropped = 1000
+    first.looks = 1000
     (ended,) = account.ended
     assert dict(ended.dropped)["closed"] == 102 + 6 * 2 + 2 + 1
 

@@ -296,11 +296,11 @@ class Connection(Generic[T]):
 
     def _trouble(self) -> str:
         """Say what keeps messages from coming, as far as it is known; for the end of a sentence."""
-        routes = (edge.status() for edge in self._driver.live.feeding())
+        live = self._driver.live
         status = StatusMap(
-            components=self._driver.live.statuses(),
+            components=live.statuses(),
             connections=(self.status(),),
-            routes=(*(route for route in routes if route is not None), *self.routes()),
+            routes=(*live.routes(), *self.routes()),
         )
         return format_trouble(asdict(status), self.id)
 

@@ -65,14 +65,13 @@ class RobotView(ConfiguredRobot):
         """Return the whole system as it is at this moment."""
         connections = self.connections()
         guard = self._revisions.current.guard
-        shared = (edge.status() for edge in self._driver.live.feeding())
         own = (route for connection in connections for route in connection.routes())
         return StatusMap(
             bridges=self._bridges.statuses(),
             components=(*self._driver.live.statuses(), *self._services.statuses()),
             connections=tuple(connection.status() for connection in connections),
             routes=(
-                *(route for route in shared if route is not None),
+                *self._driver.live.routes(),
                 *own,
                 *self._driver.offers.routes(),
             ),
@@ -186,13 +185,10 @@ class RobotView(ConfiguredRobot):
         return self._events.listen(listener)
 
     def _with_rates(self, findings: tuple[BridgeFindings, ...]) -> tuple[BridgeFindings, ...]:
-        shared = [
-            route for edge in self._driver.live.feeding() if (route := edge.status()) is not None
-        ]
         own = [route for connection in self.connections() for route in connection.routes()]
         rates = {
             route_status.producer: route_status.rate
-            for route_status in (*shared, *own)
+            for route_status in (*self._driver.live.routes(), *own)
             if route_status.rate is not None
         }
         return with_rates(findings, rates, self.config)

@@ -27,7 +27,6 @@ from uoarm.model import (
     LeaseHolder,
     Message,
     QueuePolicy,
-    RouteStatus,
     ValidationMode,
 )
 
@@ -145,6 +144,7 @@ class Sender:
 
     Attributes:
         place: the input, for errors.
+        route: what it sends goes through it.
         lifetime: seconds for which a command lives; None: until the next one.
 
     Raises:
@@ -168,9 +168,9 @@ class Sender:
         self._failures = 0  # that a flush has reported
 
         def is_over() -> bool:
-            return self._route.closed
+            return self.route.closed
 
-        self._route: Route
+        self.route: Route
         if policy is None:
             send, default_queue = live.open_input(name, is_over)
         else:
@@ -182,7 +182,7 @@ class Sender:
         self._check = make_check(live.structures[f"input.{name}"], mode, place)
         queue = port.queue or default_queue
         watch = live.watch(name)
-        self._route = Route(user, place, send, clock=clock, queue=queue, watch=watch)
+        self.route = Route(user, place, send, clock=clock, queue=queue, watch=watch)
 
     def send(
         self,
@@ -203,7 +203,7 @@ class Sender:
         if self._check is not None:
             self._check(message)
         if self._policy is None:
-            self._require_taken(self._route.deliver(message))
+            self._require_taken(self.route.deliver(message))
             return
         # Asked here, so that the sender learns at once who holds it; once more when its turn has
         # come, as it may have been taken over while the command waited.
@@ -213,7 +213,7 @@ class Sender:
         # Its number before its time: what is numbered after a stop was sent after it.
         number = next(self._numbers)
         command = _Command(message, sender, number, boot_seconds() if sent is None else sent)
-        self._require_taken(self._route.deliver(command))
+        self._require_taken(self.route.deliver(command))
 
     def _require_taken(self, failure: Exception | None) -> None:
         """Have the sender know what a message came to that waits in no queue; it is counted."""
@@ -292,17 +292,13 @@ class Sender:
 
         Each failure is reported by one flush, the next after it.
         """
-        drained = self._route.drain(timeout)
-        report, self._failures = self._failures, self._route.failures
+        drained = self.route.drain(timeout)
+        report, self._failures = self._failures, self.route.failures
         return drained and self._failures == report
-
-    def status(self) -> RouteStatus:
-        """Return what the status map shows."""
-        return self._route.status()
 
     def close(self) -> None:
         """Send nothing more; what the application holds a lease of is given back, and stopped."""
-        self._route.close()
+        self.route.close()
         if self._last_sender is not None:
             self.leave(self._last_sender)
 
@@ -317,31 +313,26 @@ class ApplicationPorts:
     Args:
         provider: the open component that provides the function asked for.
         route: takes the messages of its output; None where the application receives none.
-        output: name of that output.
+        outlet: what they come from; None likewise.
     """
 
     provider: LiveComponent
     route: Route | None
-    output: str | None
+    outlet: Outlet | None
     senders: dict[str, Sender] = field(factory=dict, init=False)
-
-    @property
-    def outlet(self) -> Outlet | None:
-        """What its messages come from; None where the application receives none."""
-        return None if self.output is None else self.provider.outlets[self.output]
 
     def attach(self) -> None:
         """Receive from the next message on."""
-        if self.route is not None and self.output is not None:
-            self.provider.outlets[self.output].attach(self.route)
+        if self.route is not None and self.outlet is not None:
+            self.outlet.attach(self.route)
 
     @contextmanager
     def letting_through(self) -> Iterator[None]:
         """Give the application the retained message, if any, after it receives from these."""
-        if self.route is None or self.output is None:
+        if self.route is None or self.outlet is None:
             yield
         else:
-            with self.provider.outlets[self.output].letting_through(self.route):
+            with self.outlet.letting_through(self.route):
                 yield
 
     def feed(self, user: str, validate: ValidationMode, clock: Clock) -> None:
@@ -387,15 +378,15 @@ class ApplicationPorts:
             name: way.lifetime for name, way in self.senders.items() if way.lifetime is not None
         }
 
-    def routes(self) -> tuple[Route | Sender, ...]:
+    def routes(self) -> tuple[Route, ...]:
         """Return the routes at these ports."""
         received = () if self.route is None else (self.route,)
-        return (*received, *tuple(self.senders.values()))
+        return (*received, *(sender.route for sender in tuple(self.senders.values())))
 
     def close(self) -> None:
         """Send and receive nothing more. May be called again."""
         for sender in tuple(self.senders.values()):
             sender.close()
-        if self.route is not None and self.output is not None:
-            self.provider.outlets[self.output].detach(self.route)
+        if self.route is not None and self.outlet is not None:
+            self.outlet.detach(self.route)
             self.route.close()

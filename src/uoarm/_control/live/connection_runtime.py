@@ -6,7 +6,7 @@ import logging
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 from weakref import WeakSet
 
 from attrs import evolve
@@ -15,10 +15,11 @@ from uoarm._control.engine.actions import HandOver
 from uoarm._control.engine.state import ConnectionRecord
 from uoarm._control.live.application_ports import ApplicationPorts, OutputReceiver
 from uoarm._control.live.component import LiveComponent, LiveEdge
+from uoarm._dataplane import Route
 from uoarm._spans import past_span
 from uoarm.model import Gap, QueuePolicy, RouteStatus
 
-__all__ = ["ConnectionRuntime", "CountedRoute", "LossAccount"]
+__all__ = ["ConnectionRuntime", "LossAccount"]
 
 Sums: TypeAlias = Mapping[tuple[str, str], RouteStatus]
 Gone: TypeAlias = tuple[LiveComponent, ...]
@@ -28,13 +29,6 @@ _GAP_OCTETS = 64 * 1024
 _RECENT = 8
 _WARNINGS = 16
 _log = logging.getLogger("uoarm")
-
-
-class CountedRoute(Protocol):
-    """A route, whichever end it is at."""
-
-    def status(self) -> RouteStatus:
-        """Return its counters."""
 
 
 class LossAccount:
@@ -53,7 +47,7 @@ class LossAccount:
         self.gaps: tuple[Gap, ...] = ()
         self._lost = 0
         self._sums: Sums = {}
-        self._recent: deque[tuple[Gone, tuple[CountedRoute, ...]]] = deque()
+        self._recent: deque[tuple[Gone, tuple[Route, ...]]] = deque()
         # Two plans may share what ends: the first that ends with it counts it, no other once more.
         self._counted: WeakSet[LiveComponent | LiveEdge] = WeakSet()
 
@@ -81,7 +75,7 @@ class LossAccount:
                 gone.append(live)
         return tuple(gone)
 
-    def ended_edges(self, edges: Iterable[LiveEdge]) -> Iterator[CountedRoute]:
+    def ended_edges(self, edges: Iterable[LiveEdge]) -> Iterator[Route]:
         """Yield the routes of those of the edges that have ended, once each."""
         for joined in edges:
             if joined.route is not None and joined.route.closed and joined not in self._counted:
@@ -93,7 +87,7 @@ class LossAccount:
         with self._lock:
             self.gaps = _newest((*self.gaps[1 - _GAPS :], gap))
 
-    def count(self, gap: Gap, gone: Gone, routes: Iterable[CountedRoute]) -> None:
+    def count(self, gap: Gap, gone: Gone, routes: Iterable[Route]) -> None:
         """Take in a change of plan, with components that are gone and routes that ended."""
         ended = tuple(routes)
         dropped = _dropped_by_reason(route.status() for route in ended)
@@ -103,7 +97,7 @@ class LossAccount:
         with self._lock:
             self.gaps = tuple(counted if item is gap else item for item in self.gaps)
 
-    def settle(self, gone: Gone, routes: Iterable[CountedRoute]) -> None:
+    def settle(self, gone: Gone, routes: Iterable[Route]) -> None:
         """Take in components that are gone, and routes that ended."""
         ended = tuple(routes)
         if not gone and not ended:
@@ -130,7 +124,7 @@ def _lost_with(gone: Gone) -> int:
     return sum(live.lost for live in gone)
 
 
-def _added(sums: Sums, routes: Iterable[CountedRoute]) -> Sums:
+def _added(sums: Sums, routes: Iterable[Route]) -> Sums:
     added = dict(sums)
     for route in routes:
         status = _settled(route.status())

@@ -29,12 +29,12 @@ from uoarm._control.engine.state import State, oldest_first
 from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.component import LiveComponent, LiveEdge
-from uoarm._control.live.connection_runtime import ConnectionRuntime, CountedRoute
-from uoarm._dataplane import Clock, FailureWatch
+from uoarm._control.live.connection_runtime import ConnectionRuntime
+from uoarm._dataplane import Clock, FailureWatch, Route
 from uoarm._safety import EmergencyStop
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
-from uoarm.model import Component, ComponentStatus, Health, ValidationMode
+from uoarm.model import Component, ComponentStatus, Health, RouteStatus, ValidationMode
 
 __all__ = ["Ending", "LiveParts"]
 
@@ -67,7 +67,7 @@ class Ending:
     lost: list[LiveComponent]
     runtime: ConnectionRuntime | None
 
-    def ended(self) -> Iterator[CountedRoute]:
+    def ended(self) -> Iterator[Route]:
         """Yield the routes that end with the plan, once each."""
         for ports in self.ports:
             yield from ports.routes()
@@ -173,6 +173,11 @@ class LiveParts:
         """Return the edges that feed something."""
         objects = self.edges.copy()
         return tuple(_there(objects, sorted(self.state.feeding.values())))
+
+    def routes(self) -> tuple[RouteStatus, ...]:
+        """Return the counters of these edges; one that is being opened has none yet."""
+        statuses = (joined.status() for joined in self.feeding())
+        return tuple(status for status in statuses if status is not None)
 
     def statuses(self) -> tuple[ComponentStatus, ...]:
         """Return what the status map shows of components."""
@@ -465,12 +470,13 @@ class LiveParts:
             record = runtime.record
             assert record is not None, "published when its plan was known"
             provider = self.components[action.placement.provider]
-            route = None
+            route = outlet = None
             if record.output is not None:
+                outlet = provider.outlets[record.output]
                 route = runtime.receiver.route(
                     provider, record.output, record.id, record.validate, self._clock
                 )
-            ports = self.ports[number] = ApplicationPorts(provider, route, record.output)
+            ports = self.ports[number] = ApplicationPorts(provider, route, outlet)
         return runtime, ports
 
     def _close(self, ending: Ending) -> None:
