@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -11,10 +12,11 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner, Result
 
+from uoarm import Connection
 from uoarm.bridge import Registry, install_command
-from uoarm.cli import main
+from uoarm.cli import _run, main
 from uoarm.config import completed_schema
-from uoarm.testing import slowness
+from uoarm.testing import ManualClock, wait
 
 pytestmark = pytest.mark.keeps("descriptor of pipe")  # doctor: of ROS 2, for signals
 ROBOT = """
@@ -218,11 +220,18 @@ def test_request_says_once_why_it_ends(tmp_path: Path, robot: str) -> None:
 
 
 def test_request_says_what_it_waits_for(robot: str) -> None:
-    Path(robot).write_text(ROBOT + "failover: {wait: 100}\n")
-    result = run("request", "once", "--duration", str(3 * slowness()), "-f", robot)
-    said = [line for line in result.stderr.splitlines() if line.startswith("warning: ")]
-    assert "it waits: component 'once' was lost: its source raised OSError: it was un" in said[0]
-    assert len(said) == 1
+    Path(robot).write_text(ROBOT + "failover: {wait: 3600}\n")
+    command = [sys.executable, "-m", "uoarm", "request", "once", "-f", robot]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            first = next(line for line in process.stderr if line.startswith(("warning", "error")))
+            process.send_signal(signal.SIGINT)
+            rest = process.stderr.read()
+        finally:
+            process.kill()
+    assert "it waits: component 'once' was lost: its source raised OSError: it was un" in first
+    assert "warning: " not in rest
 
 
 def test_request_ends_with_the_cause_when_too_few_came_since_a_component_raised(robot: str) -> None:
@@ -251,10 +260,20 @@ def test_request_ends_with_the_cause_when_no_message_matched(
 
 
 def test_request_ends_with_the_cause_when_the_time_is_up_and_no_message_matched(
-    robot: str,
+    robot: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    Path(robot).write_text(ROBOT + "failover: {failing: {messages: 100000}}\n")
-    result = run("request", "endless", "--duration", str(slowness()), "-f", robot)
+    Path(robot).write_text(ROBOT + "failover: {failing: {messages: 1000000}}\n")
+    clock, get = ManualClock(), Connection.get
+
+    def get_late(connection: Connection, timeout: float) -> object:
+        """Have the time be up once a message came that does not match, and not before."""
+        wait(lambda: any(route.invalid for route in connection.routes()))
+        clock.advance(5.0)
+        return get(connection, timeout)
+
+    monkeypatch.setattr(_run, "time", SimpleNamespace(monotonic=clock))
+    monkeypatch.setattr(Connection, "get", get_late)
+    result = run("request", "endless", "--duration", "5", "-f", robot)
     assert result.exit_code == 4
     assert "that do not match" in result.stderr
 
