@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from uoarm.bridge import Bridge, Channel, HealthEvent, Source
+from uoarm.bridge import Bridge, Channel, HealthEvent, Sink, Source
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import patience, wait
 
@@ -41,6 +41,15 @@ def known(bridge: Bridge, *nodes: str, bare: bool = False) -> None:
 def matched(channel: Channel, count: int) -> None:
     """Wait until a channel has so many peers."""
     wait(lambda: channel.facts()["matched"] == count)
+
+
+def await_quiet_watch(out: Sink) -> None:
+    """Wait for the thread that a bridge has from its first sink on, and close this one.
+
+    It begins with the next turn of the bridge's loop: sinks that were closed by then started none.
+    """
+    wait(lambda: any(thread.name.endswith(" quiet") for thread in threading.enumerate()))
+    out.close()
 
 
 class Inbox:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import INT64, Inbox, endpoint, sink, source
+from endpoints import INT64, Inbox, await_quiet_watch, endpoint, sink, source
 from peers import DOMAIN, Peer
 from uoarm_ros2._middleware import _loop
 from uoarm_ros2._middleware._wait_set import WaitSet
@@ -224,6 +224,7 @@ def test_five_hundred_openings_leave_nothing_behind(make_bridge: Make) -> None:
 
     for _ in range(50):
         cycle()
+    await_quiet_watch(sink(bridge, at))
     snapshot, memory = ResourceSnapshot(), _resident()
     for _ in range(500):
         cycle()
