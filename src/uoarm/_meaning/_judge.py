@@ -15,13 +15,10 @@ from attrs import define, field, frozen
 from uoarm._meaning._units import Conversion, UnitError, conversion
 
 __all__ = [
-    "BUILT_IN",
     "INHERITED",
     "SCALED",
-    "VOCABULARY",
     "MeaningDifference",
     "Meanings",
-    "are_alike",
     "judge",
     "name_of_type",
     "write_places",
@@ -30,7 +27,7 @@ __all__ = [
 _PLAIN = ("Byte", "Char", "Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8",
           "UInt16", "UInt32", "UInt64")  # fmt: skip
 # Each with where it says so.
-BUILT_IN: tuple[frozenset[str], ...] = (
+_BUILT_IN: tuple[frozenset[str], ...] = (
     # Their definitions: examples without a meaning, "create your own semantically meaningful one".
     *(
         frozenset(f"{package}/msg/{name}" for package in ("std_msgs", "example_interfaces")
@@ -57,12 +54,11 @@ def name_of_type(declared: object) -> str:
     return declared if isinstance(declared, str) else ""
 
 
-def are_alike(one: str, other: str, declared: tuple[frozenset[str], ...]) -> bool:
+def _are_alike(one: str, other: str, declared: tuple[frozenset[str], ...]) -> bool:
     """Say whether two names of types stand for the same: equal, built in, or declared so."""
-    return one == other or any(one in names and other in names for names in (*declared, *BUILT_IN))
+    return one == other or any(one in names and other in names for names in (*declared, *_BUILT_IN))
 
 
-VOCABULARY = ("x-type", "x-unit", "x-quantity", "x-frame", "x-encoding", "x-time")
 # What an object or an array says of these holds for all within it that says nothing else.
 INHERITED = ("x-unit", "x-quantity", "x-frame", "x-time")
 SCALED = "x-scaled"
@@ -84,7 +80,7 @@ _TOLERANCE = 1e-3
 _NOTHING: Said = {}
 _MEASURES = frozenset({"x-unit", "x-quantity", "x-time"})
 _PARTS = frozenset({"properties", "additionalProperties", "items", "prefixItems"})
-_WORDS_SAID = frozenset(VOCABULARY)
+_WORDS_SAID = frozenset({"x-type", "x-unit", "x-quantity", "x-frame", "x-encoding", "x-time"})
 _INHERITED = frozenset(INHERITED)
 _CHOICES = frozenset({"$ref", "allOf", "anyOf", "oneOf"})
 _WORDS = {
@@ -294,7 +290,7 @@ class _Walk:
         mine, theirs = name_of_type(one.get("x-type")), name_of_type(other.get("x-type"))
         if not mine or not theirs:
             return None
-        if not are_alike(mine, theirs, self.alike):
+        if not _are_alike(mine, theirs, self.alike):
             sentence = f"the types differ: {mine} is not {theirs}"
             reports = f"x-type {mine}", f"x-type {theirs}"
             found.differences.append(MeaningDifference(path, sentence, *reports))

@@ -4,7 +4,6 @@ from uoarm._resolve._candidates import add_candidates, keep_candidates, without_
 from uoarm._resolve._catalogue import (
     EdgeCheck,
     Hold,
-    Judgement,
     StructureCache,
     StructureCatalogue,
     Structures,
@@ -18,7 +17,6 @@ __all__ = [
     "Discovery",
     "EdgeCheck",
     "Hold",
-    "Judgement",
     "NoPlanError",
     "Proofs",
     "Resolver",
