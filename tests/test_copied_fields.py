@@ -9,9 +9,19 @@ from typing import Any
 import attrs
 import pytest
 
+from uoarm import _figures
 from uoarm._lock._record import _edge
 from uoarm.local import status
-from uoarm.model import BridgeStatus, ComponentStatus, ConnectionStatus, Edge, RouteStatus
+from uoarm.model import (
+    BridgeStatus,
+    ComponentStatus,
+    ConnectionStatus,
+    Edge,
+    MachineStatus,
+    OfferStatus,
+    RouteStatus,
+    StatusMap,
+)
 from uoarm.schema import Verdict
 from uoarm.server.access._approvals import Approval, ApprovalRequest, Approvals
 from uoarm.server.session._views import show_approval
@@ -52,6 +62,34 @@ WRITTEN: tuple[tuple[type, Callable[..., Any] | Any, dict[str, str]], ...] = (
             **dict.fromkeys(("producer_structure", "consumer_structure"), "locked by their ports"),
             **dict.fromkeys(("losses", "warnings"), "follow from what is locked"),
             "strict": "follows from the configuration, which is compared by itself",
+        },
+    ),
+    (StatusMap, _figures, {}),
+    (
+        RouteStatus,
+        _figures,
+        {
+            **dict.fromkeys(("rate", "age"), "follow from how its counters grow"),
+            **dict.fromkeys(("last_error", "refusal"), "texts are not figures"),
+            "native": "nothing of it is counted",
+        },
+    ),
+    (
+        OfferStatus,
+        _figures,
+        {
+            **dict.fromkeys(("cause", "endpoints"), "texts are not figures"),
+            "bridge": "stands in its name",
+            "connections": "their flows have figures of their own",
+        },
+    ),
+    (
+        MachineStatus,
+        _figures,
+        {
+            "bridges": "have figures of their own",
+            "clock_error": "of the measurement, not of the machine",
+            "cause": "texts are not figures",
         },
     ),
     (Verdict, Verdict.to_dict, {"_message": "`counterexample` is what it says"}),

@@ -45,7 +45,7 @@ class Figure:
 
 def status_figures(status: StatusMap) -> tuple[Figure, ...]:
     """Return the figures of a status: always all of them, those without a value too."""
-    return (*_routes(status), *_health(status), *_channels(status))
+    return (*_routes(status), *_health(status), *_channels(status), *_places(status))
 
 
 def _routes(status: StatusMap) -> Iterator[Figure]:
@@ -53,12 +53,16 @@ def _routes(status: StatusMap) -> Iterator[Figure]:
     received = Figure("route_received", "messages that arrived", ends, is_counter=True)
     delivered = Figure("route_delivered", "messages taken", ends, is_counter=True)
     dropped = Figure("route_dropped", "messages lost", (*ends, "reason"), is_counter=True)
+    invalid = Figure("route_invalid", "messages that did not match", ends, is_counter=True)
+    copies = Figure("route_copies", "messages another route got, too", ends, is_counter=True)
     for route in status.routes:
         received.add(route.received, route.producer, route.consumer)
         delivered.add(route.delivered, route.producer, route.consumer)
         for reason, count in route.dropped:
             dropped.add(count, route.producer, route.consumer, reason)
-    yield from (received, delivered, dropped)
+        invalid.add(route.invalid, route.producer, route.consumer)
+        copies.add(route.copies, route.producer, route.consumer)
+    yield from (received, delivered, dropped, invalid, copies)
 
 
 def _health(status: StatusMap) -> Iterator[Figure]:
@@ -106,6 +110,29 @@ def _channels(status: StatusMap) -> Iterator[Figure]:
                 if isinstance(value, int | float):
                     facts.add(value, component.name, channel.port, fact)
     yield from (lost, facts)
+
+
+def _places(status: StatusMap) -> Iterator[Figure]:
+    """Yield what is offered in frameworks, which machines are there, and what holds all of it."""
+    labels = ("offer", "function")
+    states = Figure("offer_state", "how it is", (*labels, "state"))
+    calls = Figure("offer_calls", "calls of its service that were answered", labels, True)
+    failed = Figure("offer_failed", "calls of its service that were not answered", labels, True)
+    for offer in status.offers:
+        states.add(1, offer.name, offer.function, offer.state.value)
+        calls.add(offer.calls, offer.name, offer.function)
+        failed.add(offer.failed, offer.name, offer.function)
+    present = Figure("machine_present", "whether its hosts have joined", ("machine",))
+    offset = Figure("machine_clock_offset_seconds", "how far its clock is ahead", ("machine",))
+    for machine in status.machines:
+        present.add(machine.present, machine.name)
+        if machine.clock_offset is not None:
+            offset.add(machine.clock_offset, machine.name)
+    stopped = Figure("emergency_stop", "whether commands are refused by one", ())
+    stopped.add(status.held is not None)
+    differences = Figure("lock_differences", "what is not as it was locked", ())
+    differences.add(len(status.lock))
+    yield from (states, calls, failed, present, offset, stopped, differences)
 
 
 class _ObservedManagers:

@@ -16,6 +16,10 @@ from uoarm.model import (
     ConnectionState,
     ConnectionStatus,
     Health,
+    MachineStatus,
+    OfferState,
+    OfferStatus,
+    RouteStatus,
     StatusMap,
 )
 from uoarm.server.http._metrics import status_metrics, thread_metrics
@@ -45,6 +49,13 @@ STATUS = StatusMap(
     connections=(ConnectionStatus("c1", "camera", ConnectionState.RUNNING, ("cam",)),),
     deaths=(("cam", 2),),
     takeovers=(("camera", 1),),
+    routes=(RouteStatus("cam.default", "c1", 9, 6, (("invalid", 2),), 3, copies=1),),
+    offers=(OfferStatus("net:camera", "camera", "net", OfferState.FAILED, calls=5, failed=2),),
+    machines=(
+        MachineStatus("base", True, ("arm",), 0.25, 0.01),
+        MachineStatus("desk", False, ("lamp",), cause="it has not joined"),
+    ),
+    held=1.5,
 )
 
 
@@ -65,6 +76,19 @@ def test_health_failures_and_facts_of_channels_are_figures() -> None:
         'uoarm_component_deaths_total{component="cam"} 2.0',
         'uoarm_takeovers_total{function="camera"} 1.0',
         'uoarm_connections{state="running"} 1.0',
+        'uoarm_route_received_total{consumer="c1",producer="cam.default"} 9.0',
+        'uoarm_route_delivered_total{consumer="c1",producer="cam.default"} 6.0',
+        'uoarm_route_dropped_total{consumer="c1",producer="cam.default",reason="invalid"} 2.0',
+        'uoarm_route_invalid_total{consumer="c1",producer="cam.default"} 3.0',
+        'uoarm_route_copies_total{consumer="c1",producer="cam.default"} 1.0',
+        'uoarm_offer_state{function="camera",offer="net:camera",state="failed"} 1.0',
+        'uoarm_offer_calls_total{function="camera",offer="net:camera"} 5.0',
+        'uoarm_offer_failed_total{function="camera",offer="net:camera"} 2.0',
+        'uoarm_machine_present{machine="base"} 1.0',
+        'uoarm_machine_present{machine="desk"} 0.0',
+        'uoarm_machine_clock_offset_seconds{machine="base"} 0.25',
+        "uoarm_emergency_stop 1.0",
+        "uoarm_lock_differences 0.0",
         'uoarm_channel_lost_total{component="cam",port="output.default"} 4.0',
         'uoarm_channel_fact{component="cam",fact="latency",port="output.default"} 0.5',
         'uoarm_channel_fact{component="cam",fact="matched",port="output.default"} 1.0',
