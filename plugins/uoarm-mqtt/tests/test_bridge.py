@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,8 @@ from typing import Any
 import pytest
 import trustme
 from brokers import Broker, Peer, running
-from uoarm_mqtt import _link
+from uoarm_mqtt import _channels, _link
+from uoarm_mqtt._channels import _Call
 
 from uoarm.bridge import Bridge, HealthEvent, Registry, Sink, Source
 from uoarm.errors import (
@@ -23,7 +25,7 @@ from uoarm.errors import (
     MessageError,
 )
 from uoarm.model import BridgeSpec, Endpoint, Health, MessageStructure, Role
-from uoarm.testing import Collector, patience, slowness, wait
+from uoarm.testing import Collector, patience, wait
 
 ANYTHING = MessageStructure(True)
 
@@ -328,15 +330,33 @@ class TestServices:
         assert not isinstance(caught.value, BridgeTimeoutError)
 
     def test_a_reply_that_answers_no_call_is_named_where_one_is_waited_for(
-        self, bridge: Bridge, peer: Peer
+        self, broker: Broker, peer: Peer, monkeypatch: pytest.MonkeyPatch
     ) -> None:
+        came, take = threading.Event(), _channels.ServiceCalls._take
+
+        class LateEvent(threading.Event):
+            """Its wait is over once the reply came, and not before."""
+
+            def wait(self, timeout: float | None = None) -> bool:
+                assert came.wait(patience())
+                return super().wait(timeout)
+
+        def take_first(calls: _channels.ServiceCalls, incoming: Any) -> None:
+            take(calls, incoming)
+            came.set()
+
+        monkeypatch.setattr(_channels.ServiceCalls, "_take", take_first)
+        monkeypatch.setattr(_channels, "_Call", lambda: _Call(ended=LateEvent()))
+        monkeypatch.setattr("uoarm.bridge._bridge._GRACE_SECONDS", patience())
+
         def answer(request: Any) -> None:
             peer.publish_soon(request.properties.ResponseTopic, b"42", CorrelationData=b"mine")
 
         peer.subscribe("odd/service", answer)
         expected = r"no reply within .*; what came instead answers no call: 2 octets with .*b'mine'"
-        with pytest.raises(BridgeTimeoutError, match=expected):
-            bridge.call(endpoint("odd/service", Role.SERVICE), {}, timeout=0.5 * slowness())
+        place = endpoint("odd/service", Role.SERVICE)
+        with bridge_to(broker) as bridge, pytest.raises(BridgeTimeoutError, match=expected):
+            bridge.call(place, {}, timeout=0.1)
 
     def test_a_function_serves_peers_and_failures_are_reported(
         self, bridge: Bridge, peer: Peer

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -13,6 +15,7 @@ import pytest
 from attrs import evolve
 from lines import LIMIT, PseudoTerminal, fresh_link, listening
 from rigs import Events, bridged, endpoint, running, unplugged_by
+from uoarm_rocos import _profile
 from uoarm_rocos._catalogue import (
     BooleanField,
     CallMessage,
@@ -26,6 +29,7 @@ from uoarm_rocos._catalogue import (
     WireMessage,
 )
 from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._device import PendingReply
 from uoarm_rocos._framing import Framer, LengthFramer, LineError, StuffedFramer
 from uoarm_rocos._options import Timing
 from uoarm_rocos._transport import LineTransport
@@ -35,7 +39,7 @@ from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, SimulatedRobot, Tcp
 from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import slowness
+from uoarm.testing import wait
 
 ANY = MessageStructure(True)
 ODOMETRY = endpoint("robot", "odometry")
@@ -122,12 +126,19 @@ def test_an_answer_that_cannot_be_read_is_named_where_it_is_waited_for(
         bridged(robot={"url": url}) as (bridge, _),
     ):
         bridge.describe(ECHO)
-        seconds = 0.2 * slowness()
-        monkeypatch.setattr("uoarm_rocos._bridge._OPEN_SECONDS", seconds)
+        robot: Any = bridge._devices["robot"]  # type: ignore[attr-defined] # no public way to see
+        give_up = PendingReply.wait
+
+        def wait_too_long(reply: PendingReply, timeout: float) -> bool:
+            """Have the time be up once something came, and not before."""
+            wait(lambda: robot._conversation.refused)
+            return give_up(reply, 0.0)
+
+        monkeypatch.setattr(PendingReply, "wait", wait_too_long)
 
         def ask() -> object:
             if what == "call":
-                return bridge.call(ECHO, {"text": "a"}, timeout=seconds)
+                return bridge.call(ECHO, {"text": "a"}, timeout=LIMIT)
             return bridge.open_source(ODOMETRY, ANY, Events(), timeout=LIMIT)
 
         with pytest.raises(
@@ -139,15 +150,29 @@ def test_an_answer_that_cannot_be_read_is_named_where_it_is_waited_for(
 def test_a_catalogue_that_cannot_be_read_is_named_where_none_comes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("uoarm_rocos._profile._CATALOGUE_SECONDS", 0.2 * slowness())
+    tick = _profile.Conversation.tick
+
+    def tick_late(conversation: _profile.Conversation, now: float) -> None:
+        """Have the time be up once something came, and not before."""
+        came = conversation.refused > conversation._refused_before
+        _profile._CATALOGUE_SECONDS = 0.0 if came else math.inf
+        tick(conversation, now)
+
+    monkeypatch.setattr(_profile, "_CATALOGUE_SECONDS", math.inf)
+    monkeypatch.setattr(_profile.Conversation, "tick", tick_late)
     device = ProfileServer(SimulatedRobot(), StuffedFramer)
     device._codec = Garbling(CatalogueMessage)  # type: ignore[assignment] # as above
     with (
         running(device, PtyEnd(fresh_link())) as url,
-        bridged(robot={"url": url, "wait": slowness()}) as (bridge, _),
-        pytest.raises(BridgeError, match=r"no catalogue within .*came that cannot be read"),
+        bridged(robot={"url": url, "wait": 0.1}) as (bridge, _),
     ):
-        bridge.describe(ECHO, timeout=LIMIT)
+
+        def cause() -> str:
+            with pytest.raises(BridgeError) as caught:
+                bridge.describe(ECHO, timeout=LIMIT)
+            return str(caught.value)
+
+        wait(lambda: re.search(r"no catalogue within .*came that cannot be read", cause()))
 
 
 def test_a_call_under_way_fails_at_once_when_the_cable_is_out() -> None:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from played import STRING, Played, asked, bridge_to
 from ros import Ros, Serve, eventually, url
+from uoarm_rosbridge.client import _goals
 from websockets.sync.server import ServerConnection
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Message, Role
-from uoarm.testing import Background, patience
+from uoarm.testing import Background, ManualClock, patience
 
 LONG = min(patience(), 60)
 ADD = Endpoint("far", "add", Role.SERVICE, ("/add", "actionlib/TwoIntsAction"))
@@ -173,9 +175,18 @@ def test_a_goal_that_fails_says_how(played: Played, status: int, word: str) -> N
     assert caught.value.reason is FailureReason.RAISED
 
 
-def test_a_goal_that_is_given_up_is_cancelled(played: Played) -> None:
-    server = Actionlib(played)
-    server.on_goal = lambda identity: server.status((identity, ACTIVE))
+def test_a_goal_that_is_given_up_is_cancelled(
+    played: Played, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server, clock = Actionlib(played), ManualClock()
+
+    def run_and_be_late(identity: str) -> None:
+        server.status((identity, ACTIVE))
+        clock.advance(0.1)
+
+    server.on_goal = run_and_be_late
+    monkeypatch.setattr(_goals, "time", SimpleNamespace(monotonic=clock))
+    monkeypatch.setattr("uoarm.bridge._bridge._GRACE_SECONDS", patience())
     with bridge_to(played.url) as bridge:
         with pytest.raises(BridgeTimeoutError, match=r"no result within 0\.1 s"):
             bridge.call(ADD, {"a": 1, "b": 2}, timeout=0.1)
