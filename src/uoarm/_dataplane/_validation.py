@@ -28,6 +28,7 @@ __all__ = ["make_check"]
 
 _LOOKED_AT = 50  # mistakes; those of other items of a list that are alike are said once
 _SHOWN = 10
+_LONGEST = 300  # characters of a sentence
 _LONG = 10**40  # of these Python writes no more than 4,300 digits
 
 
@@ -189,5 +190,5 @@ def _write(value: Any) -> str:
     return reprlib.repr(value)
 
 
-def _shorten(text: str, limit: int = 300) -> str:
-    return text if len(text) <= limit else f"{text[:limit]}..."
+def _shorten(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

@@ -126,9 +126,9 @@ def _type_name(function: str) -> str:
     return f"uoarm/msg/{words if words[:1].isalpha() else f'Function{words}'}"
 
 
-def _keeps_octets(schema: object, depth: int = 0) -> bool:
+def _keeps_octets(schema: object) -> bool:
     """Say whether a structure has octets, and every number in it a width that nothing exceeds."""
-    has_octets, is_bounded = _look(schema, depth)
+    has_octets, is_bounded = _look(schema, 0)
     return has_octets and is_bounded
 
 

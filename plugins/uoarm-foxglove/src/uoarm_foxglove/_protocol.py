@@ -41,6 +41,7 @@ _pack_message = struct.Struct("<BIQ").pack
 _read_number = struct.Struct("<I").unpack_from
 _CALL_HEAD = struct.Struct("<BIII")
 _LONGEST_ENCODING = 32
+_LONGEST_TEXT = 200
 T = TypeVar("T")
 _MOST_NUMBER = 2**32 - 1
 
@@ -152,15 +153,15 @@ def number_of(fields: object, name: str, known: Collection[int] | None = None) -
     return found
 
 
-def text_of(fields: object, name: str, longest: int = 200) -> str:
+def text_of(fields: object, name: str) -> str:
     """Return a text of an object.
 
     Raises:
         ControlMessageError: there is none, or it is too long.
     """
     found = fields.get(name) if isinstance(fields, dict) else None
-    if not isinstance(found, str) or len(found) > longest:
-        raise ControlMessageError(f"{name}: expected a text of at most {longest} characters")
+    if not isinstance(found, str) or len(found) > _LONGEST_TEXT:
+        raise ControlMessageError(f"{name}: expected a text of at most {_LONGEST_TEXT} characters")
     return found
 
 

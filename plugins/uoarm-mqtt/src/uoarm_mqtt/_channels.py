@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from attrs import define, field
@@ -82,7 +83,7 @@ class MqttSource(Source):
         self._breaks = link.breaks
         self._received = self._cleared = 0
         health = ChannelHealth(topic, time.monotonic())
-        self._health = ChannelMonitor(health, lambda health, cause: report(self, health, cause))
+        self._health = ChannelMonitor(health, partial(report, self))
         self._queue = receive_queue(topic, self._take, link)
         self._receiver = Receiver(
             f"$share/{options.share}/{topic}" if options.share else topic,
@@ -152,7 +153,7 @@ class MqttSink(Sink):
         self._changed = threading.Condition()
         self._under_way = self._lost = self._refused = self._undelivered = 0
         health = ChannelHealth(topic, time.monotonic())
-        self._health = ChannelMonitor(health, lambda health, cause: report(self, health, cause))
+        self._health = ChannelMonitor(health, partial(report, self))
         link.require_up()
 
     def facts(self) -> Mapping[str, object]:

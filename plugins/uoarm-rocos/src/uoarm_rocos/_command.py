@@ -73,6 +73,11 @@ def _line_options(command: F) -> F:
     return command
 
 
+def _number(flag: str, least: float, most: float, default: float, text: str) -> Callable[[F], F]:
+    kind = click.FloatRange(least, most)
+    return click.option(flag, type=kind, default=default, show_default=True, help=text)
+
+
 @simulate.command()
 @_line_options
 @click.option("--catalogue", default="", help="A catalogue file instead of the robot's own.")
@@ -94,20 +99,8 @@ def robot(catalogue: str, **line: Any) -> None:
     show_default=True,
     help="Of which maker its frames are.",
 )
-@click.option(
-    "--pulse",
-    type=click.FloatRange(30, 220),
-    default=72.0,
-    show_default=True,
-    help="Beats a minute.",
-)
-@click.option(
-    "--spo2",
-    type=click.FloatRange(50, 100),
-    default=97.0,
-    show_default=True,
-    help="Oxygen saturation, percent.",
-)
+@_number("--pulse", 30, 220, 72.0, "Beats a minute.")
+@_number("--spo2", 50, 100, 97.0, "Oxygen saturation, percent.")
 @click.option("--apnoea", type=_SECONDS, default=0.0, help="Seconds from one apnoea to the next.")
 @click.option("--finger-in", type=_SECONDS, default=0.0, help="When the finger is put in.")
 @click.option("--finger-out", type=_SECONDS, help="When the finger is taken out.")
@@ -130,27 +123,9 @@ def oximeter(
 
 @simulate.command("blood-pressure")
 @_line_options
-@click.option(
-    "--interval",
-    type=click.FloatRange(0.1, 86_400),
-    default=10.0,
-    show_default=True,
-    help="Seconds from one measurement to the next.",
-)
-@click.option(
-    "--systolic",
-    type=click.FloatRange(60, 230),
-    default=118.0,
-    show_default=True,
-    help="Upper pressure, mmHg.",
-)
-@click.option(
-    "--diastolic",
-    type=click.FloatRange(30, 150),
-    default=76.0,
-    show_default=True,
-    help="Lower pressure, mmHg.",
-)
+@_number("--interval", 0.1, 86_400, 10.0, "Seconds from one measurement to the next.")
+@_number("--systolic", 60, 230, 118.0, "Upper pressure, mmHg.")
+@_number("--diastolic", 30, 150, 76.0, "Lower pressure, mmHg.")
 def blood_pressure(*, interval: float, systolic: float, diastolic: float, **line: Any) -> None:
     """A blood-pressure monitor that measures now and then.
 

@@ -102,9 +102,9 @@ _OBJECT = (dict, Mapping)  # a dict is recognised without the slow check of an a
 class _UnfitError(Exception):
     """A value that does not fit; each container on its way out puts its step before the path."""
 
-    def __init__(self, text: str, path: str = "") -> None:
+    def __init__(self, text: str) -> None:
         super().__init__()
-        self.text, self.path = text, path
+        self.text, self.path = text, ""
 
 
 def fit(fields: Fields, message: object, where: str) -> dict[str, Any]:

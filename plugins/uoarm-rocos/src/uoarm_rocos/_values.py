@@ -168,9 +168,9 @@ def _check(value: str) -> None:
 class _UnwritableError(Exception):
     """A value that is none of the profile; each container puts its step before the path."""
 
-    def __init__(self, text: str, path: str = "") -> None:
+    def __init__(self, text: str) -> None:
         super().__init__()
-        self.text, self.path = text, path
+        self.text, self.path = text, ""
 
 
 def _members(values: Mapping[Any, Any], depth: int) -> str:

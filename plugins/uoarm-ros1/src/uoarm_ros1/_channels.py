@@ -175,7 +175,7 @@ class Ros1TopicSource(Source):
             place,
             record,
             self._take,
-            lambda health, cause: place.report(self, health, cause),
+            partial(place.report, self),
             deliver.let_go,  # what it latched went with it, as for a subscriber that comes now
         )
         self._subscribed.open()
@@ -313,9 +313,7 @@ class Ros1TopicSink(Sink):
     def __init__(self, place: TopicPlace, record: RosRecord) -> None:
         super().__init__(place.endpoint)
         self._write = framed_writer(record)
-        self._publishing = _Publishing(
-            place, record, lambda health, cause: place.report(self, health, cause)
-        )
+        self._publishing = _Publishing(place, record, partial(place.report, self))
         self._publication = self._publishing.publication
 
     def facts(self) -> Mapping[str, object]:

@@ -93,9 +93,9 @@ class SocketLoop:
         """Call `writable` of a handler when its socket takes octets."""
         self.post(lambda: self._change(handler, selectors.EVENT_READ | selectors.EVENT_WRITE))
 
-    def discard(self, handler: Handler, *, close: bool = True) -> None:
-        """Watch a socket no more, and close it unless its owner does so."""
-        self.post(lambda: self._remove(handler, close=close))
+    def discard(self, handler: Handler) -> None:
+        """Watch a socket no more, and close it."""
+        self.post(lambda: self._remove(handler, close=True))
 
     def pause(self, handler: Handler, seconds: float) -> None:
         """Watch a socket again after a while; only from within the thread."""

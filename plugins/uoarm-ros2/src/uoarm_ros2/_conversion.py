@@ -33,7 +33,6 @@ __all__ = [
     "FunctionBuilder",
     "UnfitValueError",
     "checker",
-    "is_buffer",
     "reader",
     "shown",
     "taker",
@@ -204,11 +203,6 @@ def _encodable(value: Message, encoding: str, unit: int, bound: int | None) -> s
     if bound is not None and length > bound:
         raise UnfitValueError(f"expected at most {bound} {encoding} code units, got {length}")
     return value
-
-
-def is_buffer(listing: ArrayType) -> bool:
-    """Whether the native field is one block of numbers."""
-    return isinstance(listing.element, ScalarType) and listing.element.name in NUMBER_CODES
 
 
 def taker(listing: ArrayType) -> Callable[[Message], object]:

@@ -251,7 +251,6 @@ class DiagnosticsReader:
         topic: name of the topic, resolved.
         timeout: seconds within which an entry is expected again.
         report: takes that a refused component may be asked for again: health, cause, component.
-        clock: seconds that only grow.
     """
 
     def __init__(
@@ -261,11 +260,10 @@ class DiagnosticsReader:
         topic: str,
         timeout: float,
         report: Callable[[Health, str, str], None],
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._runner, self._graph = runner, graph
         self._topic, self._timeout = Topic(topic, _TYPE), timeout
-        self._report, self._clock = report, clock
+        self._report = report
         # Guards everything below, between channels that open and close and the runner's thread.
         # Nothing is reported under it.
         self._lock = threading.Lock()
@@ -285,7 +283,7 @@ class DiagnosticsReader:
         if not name:
             return
         _native()
-        now = self._clock()
+        now = time.monotonic()
         with self._lock:
             watched = self._entries.get(_key(name))
             if watched is None or not watched.health.says_error(now):
@@ -302,7 +300,7 @@ class DiagnosticsReader:
         Raises:
             BridgeError: the package of the type is not installed, or the bridge was closed.
         """
-        now = self._clock()
+        now = time.monotonic()
         with self._lock:
             if self._subscription is None:
                 self._subscription = self._runner.subscribe(
@@ -319,7 +317,7 @@ class DiagnosticsReader:
 
     def verdict(self, watched: _Watched) -> tuple[Health, str] | None:
         """Return how a component is by its entry, and why; None: it is not known yet."""
-        now = self._clock()
+        now = time.monotonic()
         with self._lock:
             found = watched.health.verdict(now)
             is_unknown = found is not None and watched.health.is_awaited(now)
@@ -334,7 +332,7 @@ class DiagnosticsReader:
 
     def release(self, watched: _Watched, component: str) -> None:
         """End a lease; the subscription goes with the last, unless an entry says ERROR."""
-        now = self._clock()
+        now = time.monotonic()
         with self._lock:
             watched.users -= 1
             watched.asked = now
@@ -344,7 +342,7 @@ class DiagnosticsReader:
 
     def tick(self) -> None:
         """Look after what is read a few times a second, in the runner's thread."""
-        now = self._clock()
+        now = time.monotonic()
         with self._lock:
             if self._subscription is None:
                 return
@@ -373,7 +371,7 @@ class DiagnosticsReader:
             self._unsubscribe()
 
     def _take(self, octets: bytes) -> None:
-        now = self._clock()
+        now = time.monotonic()
         with self._lock:
             self._arrays += 1
             self._allowance.renew(now)

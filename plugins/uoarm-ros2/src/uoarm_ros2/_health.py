@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor
 from uoarm.model import Health
@@ -63,7 +64,7 @@ def monitored(
         recovers=True,
         learns=learns,
     )
-    return ChannelMonitor(health, lambda health, cause: report(channel, health, cause), clock)
+    return ChannelMonitor(health, partial(report, channel), clock)
 
 
 def promised_silence(deadlines: Iterable[float | None]) -> float | None:

@@ -5,9 +5,9 @@ A subscription has a rate, a queue and a compression of its own.
 
 from __future__ import annotations
 
-import functools
 import struct
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from attrs import frozen
@@ -162,10 +162,10 @@ class RosbridgeSubscription(Subscription):
         self._raw = RawWriter(topic, structure) if options.compression == _RAW else None
         write = _TEXTS.get(options.compression, write_publish_cbor)
         text = options.compression in _TEXTS
-        pieces = functools.partial(_pieces, topic, options.fragment)
+        pieces = partial(_pieces, topic, options.fragment)
         form = MessageForm(
             f"ros-{options.compression}:{topic}",
-            self._raw or functools.partial(write, topic),
+            self._raw or partial(write, topic),
             text,
             frames=pieces if text and options.fragment else None,
         )
@@ -259,7 +259,7 @@ class Topics:
         if place.name not in self._publications:
             self._open(place, fields)
         publication = self._publications[place.name]
-        done = lambda error: self._done(fields, error)  # noqa: E731
+        done = partial(self._done, fields)
         if isinstance(publication, InputPublication):
             publication.publish(message, done, self._client.in_hand)
             return
@@ -319,7 +319,7 @@ class Topics:
         if place.function:
             if place.function not in self._backend.robot.config.functions:
                 raise UsageError(f"there is no function {place.function!r}")
-            failed = lambda error: self._publication_failed(place, fields, error)  # noqa: E731
+            failed = partial(self._publication_failed, place, fields)
             self._publications[place.name] = publish_into(
                 place, _type_in(fields), self._backend, self._client, failed
             )
@@ -362,7 +362,7 @@ class Topics:
             options,
             self._client,
             structure=lambda: _structure_of(place, subscription.feed),
-            on_refused=lambda error: self._fail(fields, error),
+            on_refused=partial(self._fail, fields),
             on_end=on_end,
         )
         if place.function:

@@ -11,7 +11,7 @@ import struct
 import threading
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from sys import getsizeof
 from typing import Any
 
@@ -175,19 +175,15 @@ class Fragments:
     Args:
         most: octets of memory that all of them may take together.
         seconds: in which a message is finished.
-        clock: monotonic seconds.
 
     Attributes:
         octets: that they take.
     """
 
-    def __init__(
-        self, most: int, seconds: float, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, most: int, seconds: float) -> None:
         self.octets = 0
         self._most = most
         self._seconds = seconds
-        self._clock = clock
         self._messages: dict[str, _Message] = {}
         # Pieces come in the thread that decodes long frames; what is late is let go in the loop.
         self._lock = threading.Lock()
@@ -195,7 +191,7 @@ class Fragments:
     def forget_late(self) -> list[str]:
         """Forget what was not finished in time; returns which messages these were."""
         with self._lock:
-            due = self._clock() - self._seconds
+            due = time.monotonic() - self._seconds
             late = [name for name, message in self._messages.items() if message.begun <= due]
             for name in late:
                 self._forget(name)
@@ -229,7 +225,7 @@ class Fragments:
             if len(self._messages) >= _UNFINISHED:
                 self._forget(next(iter(self._messages)))
                 raise ControlMessageError(f"fragment: {_UNFINISHED} messages are unfinished")
-            message = self._messages[identity] = _Message(total, self._clock())
+            message = self._messages[identity] = _Message(total, time.monotonic())
         if message.total != total or number in message.pieces:
             self._forget(identity)
             raise ControlMessageError(f"fragment: piece {number} of {total} fits no message")

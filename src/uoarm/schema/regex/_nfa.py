@@ -189,10 +189,6 @@ class Nfa:
                         seen.add(id(inner))
                         waiting.append(inner)
 
-    def looks_ahead(self) -> bool:
-        """Say whether there is a look ahead."""
-        return any(self.looks)
-
     def sees_words(self) -> bool:
         """Say whether it matters where words begin and end."""
         return any(

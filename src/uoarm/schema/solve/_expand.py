@@ -312,8 +312,8 @@ def _positive(node: SchemaNode, kind: str) -> Branch | None:
     if node.negated is not None:
         whole.literals.append((node.negated, False))
     if node.condition is not None:
-        holds = Branch(literals=[(node.condition, True), *_if_there(node.then, sign=True)])
-        fails = Branch(literals=[(node.condition, False), *_if_there(node.otherwise, sign=True)])
+        holds = Branch(literals=[(node.condition, True), *_if_there(node.then)])
+        fails = Branch(literals=[(node.condition, False), *_if_there(node.otherwise)])
         whole.choices.append(Choice([holds, fails]))
     if kind == "object":
         whole.choices.extend(_dependencies(node))
@@ -324,8 +324,8 @@ def _positive(node: SchemaNode, kind: str) -> Branch | None:
     return whole
 
 
-def _if_there(node: SchemaNode | None, *, sign: bool) -> list[Literal]:
-    return [] if node is None else [(node, sign)]
+def _if_there(node: SchemaNode | None) -> list[Literal]:
+    return [] if node is None else [(node, True)]
 
 
 def _possible(nodes: Iterable[SchemaNode], kind: str) -> list[SchemaNode]:

@@ -453,21 +453,17 @@ class Approvals:
     Args:
         audit: gets every step.
         supervision: says what needs one.
-        clock: seconds.
     """
 
-    def __init__(
-        self, audit: Audit, supervision: Supervision, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, audit: Audit, supervision: Supervision) -> None:
         self.supervision = supervision
         self._audit = audit
-        self._clock = clock
         self._book = ApprovalBook()
         self._watchers: dict[Callable[[Approval], None], None] = {}
 
     def visible(self, role: AccessRole) -> list[Approval]:
         """Return those that a role may decide about, oldest first."""
-        approvals = self._book.all(self._clock())
+        approvals = self._book.all(time.monotonic())
         self._report()
         return [
             approval
@@ -477,19 +473,19 @@ class Approvals:
 
     def find(self, identity: str, requester: str) -> Approval | None:
         """Return one that a principal has asked for."""
-        approval = self._book.find(identity, self._clock())
+        approval = self._book.find(identity, time.monotonic())
         self._report()
         return approval if approval and approval.request.requester == requester else None
 
     def asked_by(self, requester: str) -> list[Approval]:
         """Return those that a principal has asked for, oldest first."""
-        approvals = self._book.all(self._clock())
+        approvals = self._book.all(time.monotonic())
         self._report()
         return [approval for approval in approvals if approval.request.requester == requester]
 
     def left(self, approval: Approval) -> float:
         """Return the seconds until one ends by itself."""
-        return max(0.0, approval.expires - self._clock()) if approval.is_open else 0.0
+        return max(0.0, approval.expires - time.monotonic()) if approval.is_open else 0.0
 
     def ask(self, request: ApprovalRequest) -> Approval:
         """Take a request in; raises as `ApprovalBook.ask`."""
@@ -518,7 +514,7 @@ class Approvals:
         Raises:
             ApprovalError: as `ApprovalBook.decide`, or the role may not approve this function.
         """
-        approval = self._book.find(identity, self._clock())
+        approval = self._book.find(identity, time.monotonic())
         # The same text where there is none: a role learns nothing of functions that are not its.
         if approval is None or not role.allows(Operation.APPROVE, approval.request.function):
             self._report()
@@ -561,12 +557,12 @@ class Approvals:
         self._watchers.pop(watcher, None)
 
     def _void(self, reason: Callable[[Approval], str]) -> None:
-        self._book.void(reason, self._clock())
+        self._book.void(reason, time.monotonic())
         self._report()
 
     def _reported(self, act: Callable[[float], Approval]) -> Approval:
         try:
-            return act(self._clock())
+            return act(time.monotonic())
         finally:
             self._report()
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from functools import cache
 from http import HTTPStatus
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
@@ -54,14 +54,12 @@ class FrontEnds:
     Args:
         reserved: paths that the server has itself.
         given: instead of the installed ones.
-        points: entry points to read instead of the installed ones.
     """
 
     def __init__(
         self,
         reserved: Iterable[str] = (),
         given: Iterable[FrontEnd] | None = None,
-        points: Iterable[EntryPoint] | None = None,
     ) -> None:
         self._reserved = frozenset(reserved)
         self._by_name: dict[str, FrontEnd] = {}
@@ -70,7 +68,7 @@ class FrontEnds:
             for front_end in given:
                 self._admit(front_end.name, front_end)
             return
-        found = entry_points(group=_GROUP) if points is None else points
+        found = entry_points(group=_GROUP)
         for point in sorted(found, key=lambda point: point.name):
             try:
                 answer = values_of(point, FrontEndHooks, "uoarm_front_ends", FrontEnd)

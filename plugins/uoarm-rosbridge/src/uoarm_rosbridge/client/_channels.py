@@ -6,6 +6,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ def monitored(channel: Channel, topic: str, port: Port, report: Report) -> Chann
     now, without_peers = time.monotonic(), Health.LOST if port.peer_required else Health.OK
     health = ChannelHealth(topic, now, stale_after=port.stale_after, without_peers=without_peers)
     health.connected(now)
-    return ChannelMonitor(health, lambda health, cause: report(channel, health, cause))
+    return ChannelMonitor(health, partial(report, channel))
 
 
 class TopicSource(Source):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor
 from uoarm.model import Health
@@ -20,4 +21,4 @@ def monitored(channel: Channel, options: ExampleOptions, report: Report) -> Chan
     what = channel.endpoint.address[0]
     health = ChannelHealth(what, clock(), stale_after=options.stale_after, grace=options.grace)
     health.connected(clock())
-    return ChannelMonitor(health, lambda health, cause: report(channel, health, cause), clock)
+    return ChannelMonitor(health, partial(report, channel), clock)
