@@ -175,12 +175,10 @@ class _ServeCommand:
     """What `ExecStart` starts.
 
     Attributes:
-        program: the first word.
         options: of `uoarm serve`, as they are written.
         configuration: the file; None where none is named.
     """
 
-    program: Path
     options: Mapping[str, Any]
     configuration: Path | None
 
@@ -237,7 +235,7 @@ class _Examination:
             return
         folder = Path(self._unit.value("WorkingDirectory") or "/")
         file = options.get("place") or options.get("file")
-        self._command = _ServeCommand(program, options, None if file is None else folder / file)
+        self._command = _ServeCommand(options, None if file is None else folder / file)
         yield Level.OK, " ".join(words)
 
     def _user(self) -> Iterator[tuple[Level, str]]:

@@ -151,14 +151,10 @@ class Target:
 
     Its hints and signatures are read once, and what converts its messages is made once: that takes
     longer than all else of an opening.
-
-    Attributes:
-        is_class: whether an instance is built for each component.
     """
 
     name: str
     value: Any
-    is_class: bool = field(init=False)
     _hints_of: dict[Any, dict[str, Any]] = field(factory=dict, init=False, eq=False, repr=False)
     _parameters_of: dict[Any, list[inspect.Parameter]] = field(
         factory=dict, init=False, eq=False, repr=False
@@ -166,8 +162,9 @@ class Target:
     _ports: dict[Hashable, TargetPort] = field(factory=dict, init=False, eq=False, repr=False)
     _checked: list[Options] = field(factory=list, init=False, eq=False, repr=False)
 
-    @is_class.default
-    def _is_class(self) -> bool:
+    @property
+    def is_class(self) -> bool:
+        """Whether an instance is built for each component."""
         return inspect.isclass(self.value)
 
     def source_name(self) -> str | None:

@@ -30,7 +30,6 @@ __all__ = ["answer"]
 View: TypeAlias = "ObjectView | ArrayView"
 
 Judged: TypeAlias = Generator[Goal, Result, "list[Branch] | None"]
-Holds: TypeAlias = Generator[Goal, Result, "bool | None"]
 
 
 def _rank(choice: Choice) -> tuple[bool, int]:
