@@ -49,11 +49,12 @@ def test_a_second_subscriber_gets_the_last_of_each_writer_at_any_rate(
 
 
 def test_what_clients_latched_stands_for_each_of_them(enter: Enter) -> None:
-    publishers, late, after = (enter(), enter()), enter(), enter()
+    publishers, seen, late, after = (enter(), enter()), enter(), enter(), enter()
+    seen.send(op="subscribe", topic="/tf_static", type="a/Tf")
     for number, publisher in enumerate(publishers):
         publisher.send(op="advertise", topic="/tf_static", type="a/Tf", latch=True)
         publisher.send(op="publish", topic="/tf_static", msg={"data": number})
-        publisher.call("/rosapi/get_time", {})
+        assert seen.messages(1) == [{"data": number}]  # it waited for the type
     late.send(op="subscribe", topic="/tf_static")
     assert late.messages(2) == [{"data": 0}, {"data": 1}]
     publishers[0].send(op="unadvertise", topic="/tf_static")
