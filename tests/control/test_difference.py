@@ -35,8 +35,8 @@ def test_a_request_is_sought_then_opened_then_runs(world: World) -> None:
     world.do("request c1")
     opening, taking_over = difference(world.state, world.state.connections["c1"])
     assert opening.phase is OPENING
-    assert opening.awaits, "the step had it begun"
-    assert (taking_over.phase, taking_over.awaits) == (TAKING_OVER, ())
+    assert opening.batches, "the step had it begun"
+    assert (taking_over.phase, taking_over.batches) == (TAKING_OVER, ())
     assert desired(world.state) == frozenset(opening.parts), "nothing of it is open yet"
     kinds = [part.kind for part in opening.parts]
     assert kinds.index(Kind.EDGE) < max(
@@ -54,10 +54,10 @@ def test_what_another_opens_is_waited_for_and_asked_for_when_that_fails(world: W
     (batch,) = world.state.batches
     first, *_ = difference(world.state, world.state.connections["c2"])
     assert first.phase is OPENING
-    assert set(first.awaits) == {batch}
+    assert set(first.batches) == {batch}
     world.do("request c1", fails_at=0)
     first, *_ = difference(world.state, world.state.connections["c2"])
-    assert set(first.awaits).isdisjoint({batch}), "it has a batch of its own now"
+    assert set(first.batches).isdisjoint({batch}), "it has a batch of its own now"
     assert "c1" not in {record.id for record in world.state.connections.values() if record.plans}
 
 
@@ -96,7 +96,7 @@ def test_members_of_a_switchover_wait_for_each_other(world: World) -> None:
     for identity, other in (("c1", "c2"), ("c2", "c1")):
         opening, switching, taking_over = difference(world.state, world.state.connections[identity])
         assert (opening.phase, switching.phase) == (OPENING, SWITCHING)
-        assert set(switching.awaits) == {other}
+        assert set(switching.members) == {other}
         assert not switching.is_begun
         assert taking_over.phase is TAKING_OVER
     while not any(isinstance(actions[0], act.SwitchInputs) for actions in world.lanes.values()):

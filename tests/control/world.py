@@ -351,9 +351,9 @@ class World:
             self._check_move(connection)
             # Whatever may be done now was taken by the step: what stands first is under way.
             for first in difference(state, connection)[:1]:
-                assert first.is_begun or first.awaits, first
+                assert first.is_begun or first.batches or first.members, first
                 if first.phase is MovePhase.OPENING:
-                    self._check_awaited(connection, first.awaits)
+                    self._check_awaited(connection, first.batches)
 
     def _check_awaited(self, connection: ConnectionRecord, batches: Collection[int]) -> None:
         """Each batch that a connection waits for is its own, or knows that it does."""

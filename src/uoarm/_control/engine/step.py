@@ -9,9 +9,11 @@ connections end, `switchover` how connections change to better plans, and to ano
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from itertools import filterfalse
 from typing import Any, NamedTuple
+
+from rpds import HashTrieSet
 
 from uoarm._control.engine import failover, offers, switchover
 from uoarm._control.engine.actions import Action, Announce, Close, Forget, Publish, Reply
@@ -56,14 +58,15 @@ class Remaining(NamedTuple):
     Attributes:
         phase: what is to be done.
         parts: of an opening: what nothing has open yet, in the order in which it opens.
-        awaits: what else comes before it: of an opening the batches that open some of it for
-            others, of a switching the other members whose plans are not open.
+        batches: of an opening: those that open some of it for others, and come before it.
+        members: of a switching: the others whose plans are not open, which come before it.
         is_begun: whether its result is awaited, which is an event.
     """
 
     phase: MovePhase
     parts: tuple[Part, ...] = ()
-    awaits: Collection[Any] = ()
+    batches: tuple[int, ...] = ()
+    members: HashTrieSet[str] = HashTrieSet()
     is_begun: bool = False
 
 
@@ -84,7 +87,7 @@ def difference(state: State, record: ConnectionRecord) -> tuple[Remaining, ...]:
     """Return what a connection has before it until it is as it should be; empty: it is.
 
     The order is partial over all connections: those of one connection follow one another, and what
-    stands first waits for what it says that it awaits.
+    stands first waits for the batches and the members that it names.
     """
     move = record.move
     if move is None:
@@ -94,8 +97,8 @@ def difference(state: State, record: ConnectionRecord) -> tuple[Remaining, ...]:
         # A plan is being sought, will be when it is time, or is not wanted any more.
         begun = Remaining(move.phase, is_begun=True)
         return (begun, *map(Remaining, phases[1:]))
-    parts, awaits = _missing(state, move.next.parts)
-    opening = (Remaining(MovePhase.OPENING, parts, awaits),) if parts else ()
+    parts, batches = _missing(state, move.next.parts)
+    opening = (Remaining(MovePhase.OPENING, parts, batches),) if parts else ()
     # Of one that moves alone nothing is switched: after a death its inputs feed nothing, and a
     # request has none yet.
     if not move.group:
@@ -103,7 +106,7 @@ def difference(state: State, record: ConnectionRecord) -> tuple[Remaining, ...]:
     group = state.switchovers[move.group]
     # A persistent set, as a group may have thousands of members that come here one after another.
     others, is_begun = group.unopened.discard(record.id), group.is_switching
-    switching = Remaining(MovePhase.SWITCHING, (), others, is_begun)
+    switching = Remaining(MovePhase.SWITCHING, members=others, is_begun=is_begun)
     return (*opening, switching, Remaining(MovePhase.TAKING_OVER))
 
 
@@ -150,9 +153,9 @@ def _proceed(draft: Draft) -> None:
             continue
         first = remaining[0]
         if first.phase is MovePhase.SWITCHING:
-            switchover.arrive(draft, record, is_last=not first.awaits)
-        elif first.awaits:
-            draft.await_batches(record, first.awaits)
+            switchover.arrive(draft, record, is_last=not first.members)
+        elif first.batches:
+            draft.await_batches(record, first.batches)
         elif first.phase is MovePhase.OPENING:
             draft.open(record, first.parts)
         elif record.reason is MoveReason.REQUEST:
