@@ -36,6 +36,7 @@ from uoarm.model import (
     ValidationMode,
     from_json,
     message_octets,
+    read_control,
     scan_json,
 )
 from uoarm.server.access._admission import RefusedError, read_head
@@ -202,6 +203,7 @@ _CORE: Mapping[str, Target] = {
             b'{"more":{"a":{"more":{"b":{"wide":1}}}}}',
         ),
     ),
+    "control messages of the model": Target(read_control, (ControlMessageError,), _JSON_SEEDS),
     "frames of hosts": Target(
         _host_frame,
         (MessageError,),

@@ -27,12 +27,11 @@ from uoarm.model._component import (
     Role,
     Service,
 )
+from uoarm.model._control import ControlMessage, Op, read_control, write_control
 from uoarm.model._message import (
-    ControlMessage,
     Deliver,
     Message,
     MessageStructure,
-    Op,
     Options,
     OverflowPolicy,
     QueuePolicy,
@@ -187,9 +186,11 @@ __all__ = [
     "is_loopback",
     "message_octets",
     "place_problem",
+    "read_control",
     "read_json",
     "scan_json",
     "show_value",
     "to_json",
+    "write_control",
     "write_json",
 ]

@@ -1,4 +1,4 @@
-"""Messages: their structures, the memory that they take, their queues; and control messages."""
+"""Messages: their structures, the memory that they take, and the queues that they wait in."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ from uoarm._mistakes import choose
 from uoarm.errors import ConfigurationError
 
 __all__ = [
-    "ControlMessage",
     "Deliver",
     "Message",
     "MessageStructure",
-    "Op",
     "Options",
     "OverflowPolicy",
     "QueuePolicy",
@@ -158,44 +156,3 @@ def message_octets(message: Message, *, most: int | None = None) -> int:
         elif isinstance(size := getattr(value, "nbytes", None), int):
             octets += max(size - getsizeof(value), 0)  # what a view or a numpy array stands for
     return octets
-
-
-class Op(Enum):
-    """The operation of a control message, spelt as on the wire."""
-
-    REQUEST = "Request"
-    KILL = "Kill"
-    DATA = "Data"
-    CALL = "Call"
-    REPLY = "Reply"
-    STATUS = "Status"
-    ERROR = "Error"
-    LIST = "List"
-    RESOLVE = "Resolve"
-    RESUME = "Resume"
-    CONFIGURE = "Configure"
-    STOP = "Stop"
-    DISCOVER = "Discover"
-    APPROVE = "Approve"
-    RECORD = "Record"
-    PLAY = "Play"
-
-
-@frozen
-class ControlMessage:
-    """One control message `{op, type, jsonMessage, id}`.
-
-    Attributes:
-        op: the operation.
-        type: the function (client to manager), or the strings that a bridge needs to reach a
-            component (manager to bridge).
-        jsonMessage: the data, to or from the component.
-        id: chosen by the caller; the answer carries the same one.
-        extensions: fields whose names begin with `x-`; kept, never interpreted.
-    """
-
-    op: Op
-    type: str | tuple[str, ...] = ""
-    jsonMessage: Message = field(default=None, hash=False)  # noqa: N815 - the wire's spelling
-    id: str | None = None
-    extensions: Options = field(factory=dict, hash=False)
