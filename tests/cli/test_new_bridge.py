@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from uoarm.cli import main
+from uoarm.testing import patience
 
 
 def make(name: str, into: Path) -> tuple[int, str]:
@@ -69,6 +70,7 @@ def test_the_generated_bridge_passes_the_kit(tests: str, tmp_path: Path) -> None
         capture_output=True,
         text=True,
         check=False,
+        timeout=4 * patience(),
     )
     assert done.returncode == 0, done.stdout
     assert " passed" in done.stdout
@@ -90,6 +92,7 @@ def test_the_name_stands_where_the_template_says_example_and_nowhere_else(tmp_pa
         capture_output=True,
         text=True,
         check=True,
+        timeout=4 * patience(),
     )
     assert "'examples': [7400]" in done.stdout
     texts = [path.read_text() for path in project.rglob("*") if path.is_file()]

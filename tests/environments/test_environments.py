@@ -218,7 +218,7 @@ def test_what_runs_here_is_handed_on_although_its_wheel_is_gone_and_no_index_has
     [data] = (home / "little").rglob("data.txt")
     assert data.read_text() == "changed here\n"
     report = subprocess.run(
-        [home / "little/bin/little"], capture_output=True, check=True, text=True
+        [home / "little/bin/little"], capture_output=True, check=True, text=True, timeout=patience()
     )
     assert report.stdout == "little\n"
 

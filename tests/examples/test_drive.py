@@ -89,13 +89,15 @@ def test_the_base_drives_while_a_button_is_held(drive: Drive) -> None:
         wait(lambda: drive.moves()[-1] == "driving at 0.30 m/s")
         browser.until("document.getElementById('place').textContent.includes('at 0.30 m/s')")
         terminal = [sys.executable, str(EXAMPLE / "terminal.py"), "--url", robot]
-        refused = subprocess.run(terminal, capture_output=True, text=True, check=False)
+        refused = subprocess.run(
+            terminal, capture_output=True, text=True, check=False, timeout=patience()
+        )
         assert refused.returncode == 1
         assert "holds its lease" in refused.stderr
         assert drive.moves() == ["standing still", "driving at 0.30 m/s"]
         browser.command("Input.dispatchMouseEvent", type="mouseReleased", **press)
         wait(lambda: drive.moves() == ["standing still", "driving at 0.30 m/s", "standing still"])
         assert browser.js("document.getElementById('notice').textContent") == ""
-    driven = subprocess.run([*terminal, "--seconds", "0.5"], check=False)
+    driven = subprocess.run([*terminal, "--seconds", "0.5"], check=False, timeout=patience())
     assert driven.returncode == 0
     wait(lambda: drive.moves()[-2:] == ["driving at 0.20 m/s", "standing still"])

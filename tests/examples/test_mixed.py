@@ -17,7 +17,7 @@ SCRIPT = Path(__file__).parents[2] / "examples" / "mixed" / "mixed.py"
 def test_the_camera_is_replaced_and_returned_to(alone: tuple[str, ...]) -> None:
     """Where rospy is not installed, both are the same."""
     words = [sys.executable, str(SCRIPT), "--times", "1", "--patience", str(patience()), *alone]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=patience())
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith("ROS 1: no rospy here" if alone else "ROS 1: ")

@@ -36,6 +36,7 @@ def run(vision: Path, output: Path, *options: str, **environment: str) -> tuple[
         text=True,
         check=False,
         env={**os.environ, **environment},
+        timeout=4 * patience(),
     )
     return done.returncode, json.loads(done.stdout) if done.stdout else None, done.stderr
 

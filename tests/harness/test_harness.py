@@ -17,6 +17,8 @@ from tests.harness._leaks import maker, variables_of
 from tests.harness._needs import MODULES, NEEDS
 from tests.tiers import BY_DEFAULT, NAMES, TIERS
 
+from uoarm.testing import patience
+
 ROOT = Path(__file__).parents[2]
 Run = Callable[..., "pytest.RunResult"]
 
@@ -265,7 +267,12 @@ def test_threads_begin_late_and_one_of_four_waits_ends_late_by_a_number() -> Non
     def late(number: str) -> tuple[bool, list[list[float]]]:
         command = [sys.executable, "-c", LATE, str(Path(__file__).parent)]
         out = subprocess.run(
-            command, env={DELAYS: number}, stdout=subprocess.PIPE, text=True, check=True
+            command,
+            env={DELAYS: number},
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+            timeout=2 * patience(),
         ).stdout
         is_same, output = json.loads(out)
         return is_same, output
@@ -346,6 +353,7 @@ def test_ignored_signals_are_not_handed_down(pytester: pytest.Pytester, run: Run
         text=True,
         check=False,
         env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        timeout=2 * patience(),
     )
     assert "4 passed" in done.stdout, done.stdout + done.stderr
 

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from uoarm.testing import patience
+
 ROOT = Path(__file__).parents[2]
 FAULTS = ("kill", "stop", "pause", "hang", "refuse", "slow")
 
@@ -17,6 +19,7 @@ def test_a_soak_of_some_seconds_holds() -> None:
         capture_output=True,
         text=True,
         check=False,
+        timeout=4 * patience(),
     )
     assert done.returncode == 0, done.stdout + done.stderr
     for fault in FAULTS:

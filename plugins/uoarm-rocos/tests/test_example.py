@@ -10,6 +10,7 @@ from rigs import running
 from uoarm_rocos.simulate import Oximeter, Scenario, TcpEnd
 
 from uoarm.config import inspect
+from uoarm.testing import patience
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "vitals"
 
@@ -21,6 +22,7 @@ def plotted(file: Path, seconds: float) -> subprocess.CompletedProcess[str]:
         check=False,
         capture_output=True,
         text=True,
+        timeout=patience(),
     )
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import uoarm_ros2
 
 import uoarm
+from uoarm.testing import patience
 
 __all__ = ["Sourced"]
 
@@ -80,7 +81,12 @@ class Sourced:
     def run(self, *words: str) -> str:
         """Return what Python prints there."""
         done = subprocess.run(
-            [self.python, *words], env=self.environment, capture_output=True, text=True, check=False
+            [self.python, *words],
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=4 * patience(),
         )
         assert not done.returncode, done.stderr
         return done.stdout

@@ -122,7 +122,12 @@ assert structure_of_type("std_msgs/String", {}) is not None
 print("rclpy" in sys.modules, "antigravity" in sys.modules)
 """
     done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience(),
     )
     assert done.stdout == "False False\n", done.stdout + done.stderr
 

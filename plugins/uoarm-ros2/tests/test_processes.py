@@ -77,7 +77,11 @@ def test_an_application_keeps_its_own_rclpy(tmp_path: Path) -> None:
     script = tmp_path / "application.py"
     script.write_text(HOST)
     done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, check=False
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience(),
     )
     assert (done.stdout.strip(), done.returncode) == ("[1, 2]", 0), done.stderr
 
@@ -141,7 +145,11 @@ def test_a_process_that_ends_without_close_ends_as_it_wants(
     script = tmp_path / "left_open.py"
     script.write_text(LEFT_OPEN)
     done = subprocess.run(
-        [sys.executable, str(script), how], capture_output=True, text=True, check=False
+        [sys.executable, str(script), how],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience(),
     )
     assert (done.returncode, done.stderr) == (code, "")
 

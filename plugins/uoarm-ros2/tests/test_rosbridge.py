@@ -12,6 +12,7 @@ from peers import DOMAIN, Peer
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import ServerOptions, serve_in_thread
+from uoarm.testing import patience
 
 CLIENT = Path(__file__).with_name("action_client.py")
 ADDRESS = "/fibonacci, test_msgs/action/Fibonacci"
@@ -47,6 +48,7 @@ def test_roslibpy_sends_goals_to_an_action(peer: Callable[..., Peer]) -> None:
             capture_output=True,
             text=True,
             check=False,
+            timeout=patience(),
         )
     assert done.stdout == "done\n", done.stdout + done.stderr
 
@@ -99,7 +101,11 @@ def test_fields_that_a_client_leaves_out_are_filled_as_by_rosbridge(
     ):
         url = f"ws://127.0.0.1:{serving.ports[0]}/rosbridge"
         done = subprocess.run(
-            [sys.executable, str(program), url], capture_output=True, text=True, check=False
+            [sys.executable, str(program), url],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=patience(),
         )
         assert done.stdout == "6\n", done.stdout + done.stderr
         assert listener.do("report", topic="/picture", expected=1)["seen"] == [7]

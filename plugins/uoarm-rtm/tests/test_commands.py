@@ -153,7 +153,9 @@ def test_a_naming_service_that_is_not_there_is_said(run: Callable[..., Any]) -> 
 def test_the_commands_are_those_of_uoarm(names: str, peer: Start, tmp_path: Path) -> None:
     peer("Worker", at=names)
     command = [sys.executable, "-m", "uoarm", "rtm", "list", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, cwd=tmp_path, timeout=patience()
+    )
     assert [row["component"] for row in json.loads(done.stdout)] == ["Worker.rtc"]
 
 

@@ -399,6 +399,10 @@ for _ in range(300):
     sent.acquire()
 """
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience(),
     )
     assert done.returncode == 0, done.stderr

@@ -26,7 +26,7 @@ from uoarm.config import load
 from uoarm.errors import BridgeError
 from uoarm.model import MessageStructure
 from uoarm.schema import check
-from uoarm.testing import instances
+from uoarm.testing import instances, patience
 
 HERE = Path(__file__).parent
 NAMES = [
@@ -230,7 +230,11 @@ def test_missing_stubs_are_named_with_what_makes_them() -> None:
         "Registry().create(BridgeSpec('rtm', 'rtm', {}))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience(),
     )
     assert "stubs of OpenRTM's IDL are missing: install uoarm-rtm again" in done.stderr
 
