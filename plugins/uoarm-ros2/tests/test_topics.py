@@ -249,9 +249,10 @@ def test_a_silence_names_what_came_and_could_not_be_read(bridge: Bridge, peer: S
     talker.do("advertise", topic="/torn")
     events = Inbox()
     bridge.watch(events)
-    at = endpoint(Role.OUTPUT, "/torn", INT64, stale_after=0.5 * slowness())
+    at = endpoint(Role.OUTPUT, "/torn", INT64, stale_after=patience())
     opened: Any = source(bridge, at, got)
     opened._receive(b"\x00\x01\x00\x00\x07")
+    opened._health.expect(0.1)  # only now: it is silent from its opening on
     events.event(Health.LOST, "s; the last message that came cannot be read: topic /torn")
 
 
