@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ssl
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -39,6 +40,17 @@ def test_a_client_can_show_a_certificate(certificate: Path) -> None:
 def test_a_server_asks_for_certificates_where_it_has_an_authority(certificate: Path) -> None:
     assert server_context(certificate).verify_mode is ssl.CERT_NONE
     assert server_context(certificate, None, certificate).verify_mode is ssl.CERT_OPTIONAL
+
+
+def test_a_server_gives_no_ticket_that_meets_what_a_client_writes(certificate: Path) -> None:
+    into, out = ssl.MemoryBIO(), ssl.MemoryBIO()
+    server = server_context(certificate).wrap_bio(into, out, server_side=True)
+    client = client_context(certificate).wrap_bio(out, into, server_hostname="localhost")
+    for end in (client, server, client, server):
+        with suppress(ssl.SSLWantReadError):
+            end.do_handshake()
+    assert server.version() == "TLSv1.3"
+    assert out.pending == 0, "something comes after the handshake"
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path, certificate: Path) -> None:

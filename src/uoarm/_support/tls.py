@@ -61,6 +61,10 @@ def server_context(
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
+    # A ticket comes right after the handshake. A client that writes in one thread as another reads
+    # it may lose the answer: 12 of 9,860 connections of websockets' threads did, without one 0 of
+    # 37,654. Nothing of ours resumes a session.
+    context.num_tickets = 0
     show_certificate(context, certificate, key)
     if authority is not None:
         with _using("TLS", authority):
