@@ -56,6 +56,9 @@ def pytest_configure(config: pytest.Config) -> None:
     limits = ExitStack()
     limits.enter_context(default_limits(patience(), closing=False))
     config.add_cleanup(limits.close)
+    long_limits = _limits.LongLimits(patience())
+    long_limits.install()
+    config.add_cleanup(long_limits.remove)
 
 
 def pytest_report_header() -> str:
@@ -109,13 +112,12 @@ def pytest_runtest_setup_of_needs(item: pytest.Item) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Lengthen the limits of what the tests have imported, and freeze what collecting made.
+    """Freeze what collecting made.
 
     That is left out of every later collection of garbage, as it stays anyway.
     With its first example Hypothesis looks for what holds its random numbers, and would not see it
     among what is left out.
     """
-    _limits.lengthen(patience())
     settings(max_examples=1, database=None)(given(none())(lambda _: None))()
     gc.collect()
     gc.freeze()

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib.machinery import ModuleSpec, PathFinder
 from operator import attrgetter
+from types import ModuleType
 from typing import Any
 
-__all__ = ["lengthen"]
+__all__ = ["LIMITED", "LongLimits"]
 
 _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
     "uoarm._adapt._edge": {"check_edge": ("seconds", "suggest_seconds")},
@@ -68,7 +70,7 @@ _CONSTANTS = {
     "uoarm_rocos._bridge": ("_OPEN_SECONDS",),
     "uoarm_rocos._line": ("_OPEN_SECONDS",),
     "uoarm_rocos._profile": ("_CATALOGUE_SECONDS",),
-    "uoarm_ros1._bridge": ("_HEADER_SECONDS",),
+    "uoarm_ros1._discovery": ("_HEADER_SECONDS",),
     "uoarm_ros1._node": ("_ASK_SECONDS",),
     "uoarm_ros1._server": ("_ARRIVAL_SECONDS",),
     "uoarm_ros1._services": ("_PROBE_SECONDS",),
@@ -80,27 +82,65 @@ _CONSTANTS = {
 }
 
 
+_WORKERS = "uoarm._support.workers"
 # A worker thread of what a fixture of several tests holds waits that long for the next call: the
 # check of what a test left behind waits for its end.
 _IDLE_SECONDS = 0.1
 
+LIMITED = frozenset({_WORKERS, *_CONSTANTS, *_LIMITS})
+"""The modules that have such limits."""
 
-def lengthen(seconds: float) -> None:
-    """Have the limits that are never stated last so long, of what tests have imported."""
-    if (workers := sys.modules.get("uoarm._support.workers")) is not None:
-        _set_default(workers.WorkerPool.__init__, "idle_seconds", _IDLE_SECONDS)
-    for module, constants in _CONSTANTS.items():
-        for name in constants:
-            if module in sys.modules:
-                assert isinstance(getattr(sys.modules[module], name), float)
-                setattr(sys.modules[module], name, seconds)
-    for module, calls in _LIMITS.items():
-        if (found := sys.modules.get(module)) is None:
-            continue
-        for name, limits in calls.items():
-            called = inspect.unwrap(attrgetter(name)(found))
+
+class LongLimits:
+    """Lengthens the limits that are never stated, of what is imported and of what will be.
+
+    Much is imported by the first call that needs it, long after tests are collected. It is a finder
+    of `sys.meta_path`.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+
+    def install(self) -> None:
+        """Begin, with what is imported already."""
+        for name in LIMITED:
+            if (module := sys.modules.get(name)) is not None:
+                self._lengthen(module)
+        sys.meta_path.insert(0, self)
+
+    def remove(self) -> None:
+        """Leave what is imported from now on alone."""
+        sys.meta_path.remove(self)
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Have a module of the tables lengthened once it has been run."""
+        if name not in LIMITED:
+            return None
+        spec = PathFinder.find_spec(name, path, target)
+        if spec is not None and (loader := spec.loader) is not None:
+            run = loader.exec_module
+
+            def run_and_lengthen(module: ModuleType) -> None:
+                run(module)
+                self._lengthen(module)
+
+            # Not a loader around it: resources and sources are asked of this one by its type.
+            loader.exec_module = run_and_lengthen  # type: ignore[method-assign]
+        return spec
+
+    def _lengthen(self, module: ModuleType) -> None:
+        if module.__name__ == _WORKERS:
+            _set_default(module.WorkerPool.__init__, "idle_seconds", _IDLE_SECONDS)
+        for constant in _CONSTANTS.get(module.__name__, ()):
+            assert isinstance(getattr(module, constant), float)
+            setattr(module, constant, self._seconds)
+        for name, limits in _LIMITS.get(module.__name__, {}).items():
+            called = inspect.unwrap(attrgetter(name)(module))
             for limit in limits:
-                _set_default(called.__init__ if inspect.isclass(called) else called, limit, seconds)
+                function = called.__init__ if inspect.isclass(called) else called
+                _set_default(function, limit, self._seconds)
 
 
 def _set_default(function: Callable[..., Any], name: str, value: float) -> None:

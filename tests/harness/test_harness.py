@@ -330,6 +330,47 @@ sys.exit(pytest.main(sys.argv[2:]))
 """
 
 
+def test_limits_of_what_is_imported_by_a_test_are_lengthened_too(run: Run) -> None:
+    found = run(
+        """
+        import sys
+        from uoarm.testing import patience
+
+        def test_late():
+            assert "uoarm._host.remote_bridge" not in sys.modules
+            assert "uoarm.server" not in sys.modules
+            from uoarm._host.remote_bridge import _PROMPT_SECONDS
+            from uoarm.server import Limits
+            assert _PROMPT_SECONDS == Limits().queue_seconds == patience()
+        """
+    )
+    found.assert_outcomes(passed=1)
+
+
+def test_limits_that_are_lengthened_exist() -> None:
+    """Of the packages that are installed here: their modules are imported in a process apart."""
+    script = """
+import importlib, importlib.util
+from tests.harness._limits import LIMITED, LongLimits
+
+LongLimits(60.0).install()
+for name in sorted(LIMITED):
+    if importlib.util.find_spec(name.partition(".")[0]) is not None:
+        importlib.import_module(name)
+        print(name)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=2 * patience(),
+    )
+    assert not done.returncode, done.stderr
+    assert "uoarm._host.remote_bridge" in done.stdout.split()
+
+
 def test_ignored_signals_are_not_handed_down(pytester: pytest.Pytester, run: Run) -> None:
     """As under `nohup make test &`."""
     file = pytester.makepyfile(
