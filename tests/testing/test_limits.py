@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 
 import pytest
-from tests.harness._limits import lengthen
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
@@ -38,7 +37,6 @@ def test_in_all_tests_it_is_as_long_as_the_machine_is_slow(call: object) -> None
 def test_nor_is_a_client_or_a_server_that_is_late_taken_for_gone() -> None:
     server, client = pytest.importorskip("uoarm.server"), pytest.importorskip("uoarm.client")
     asyncio_client = pytest.importorskip("websockets.asyncio.client")
-    lengthen(patience())  # again, should no other test that is run have imported them
     assert server.Limits().stall_seconds == patience()
     assert server.Limits().ping_seconds < patience()
     assert server.Limits(stall_seconds=1.0).stall_seconds == 1.0
