@@ -15,6 +15,7 @@ OTHER = {
     "mutation",
     "soak",
     "tables",
+    "turns",
 }
 
 

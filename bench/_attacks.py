@@ -37,13 +37,11 @@ class Attack:
     """One attack.
 
     Attributes:
-        row: of the list of what was found, for a comparison.
         sent: what is sent, in words.
         run: does it; returns how the server answered. May raise ConnectionClosed and OSError.
         functions: that are open meanwhile, `f0` and on.
     """
 
-    row: str
     sent: str
     run: Callable[[str], str]
     functions: int = 0
@@ -60,6 +58,20 @@ def client(url: str, *, path: str = "/", binary: bool = False) -> Iterator[Clien
         if path == "/":
             made.recv()
         yield made
+
+
+def counted(came: Counter[str]) -> str:
+    """Return in words how often what came."""
+    return ", ".join(f"{count} x {what}" if count > 1 else what for what, count in came.items())
+
+
+def together(clients: int, act: Callable[[], None]) -> None:
+    """Do it in so many threads, until all have ended."""
+    threads = [threading.Thread(target=act) for _ in range(clients)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
 
 
 def kind_of_answer(frame: str | bytes) -> str:
@@ -84,7 +96,7 @@ def answers(made: ClientConnection, count: int, seconds: float = SECONDS) -> str
         came["no answer"] = count - came.total()
     except ConnectionClosed as error:
         came[f"closed {error.rcvd.code if error.rcvd else 'without a word'}"] += 1
-    return ", ".join(f"{count} x {what}" if count > 1 else what for what, count in came.items())
+    return counted(came)
 
 
 def inputs(hostile: Hostile) -> Callable[[str], str]:
@@ -132,7 +144,7 @@ def data(url: str) -> str:
                 head = f'{{"op":"Data","type":"{connection}","id":"d{number}","jsonMessage":'
                 made.send(f"{head}{message}}}")
             came["sent, and left" if connection else "not opened"] += 1
-    return ", ".join(f"{count} x {what}" for what, count in came.items())
+    return counted(came)
 
 
 def kills(url: str) -> str:
@@ -146,11 +158,11 @@ def kills(url: str) -> str:
                 for number in range(100):
                     made.send(f'{{"op":"Kill",{head},"id":"k{number}"}}')
             came["killed" if connection else "not opened"] += 1
-    return ", ".join(f"{count} x {what}" for what, count in came.items())
+    return counted(came)
 
 
 def hanging_calls(url: str) -> str:
-    call = '{"op":"Call","type":"sleeper","id":"c%d","x-timeout":0.01,"jsonMessage":{"a":1,"b":1}}'
+    call = '{"op":"Call","type":"sleep","id":"c%d","x-timeout":0.01,"jsonMessage":{"a":1,"b":1}}'
     with client(url) as made:
         for number in range(400):
             made.send(call % number)
@@ -233,7 +245,7 @@ def two_hosts(url: str) -> str:
                 came[
                     client.recv(100).decode(errors="replace").partition("\r\n")[0][9:] or "cut"
                 ] += 1
-    return ", ".join(f"{count} x {what}" for what, count in came.items())
+    return counted(came)
 
 
 def packed(text: bytes) -> bytes:
@@ -267,7 +279,7 @@ def unfinished(clients: int, frames: bytes) -> Callable[[str], str]:
             time.sleep(0.5)
         for client in made:
             came[ending(client)] += 1
-        return ", ".join(f"{count} x {what}" for what, count in came.items())
+        return counted(came)
 
     return run
 
@@ -308,11 +320,7 @@ def bombs(clients: int) -> Callable[[str], str]:
                         with suppress(BlockingIOError):
                             made.recv(65536, socket.MSG_DONTWAIT)
 
-        threads = [threading.Thread(target=send) for _ in range(clients)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        together(clients, send)
         return f"{sent['sent']} x {len(bomb):,} octets sent"
 
     return run
@@ -365,8 +373,7 @@ async def _crowded(url: str, clients: int, frames: tuple[str, ...], *, again: bo
     for outcome in outcomes:
         if outcome is not None:
             answered[type(outcome).__name__] += 1
-    counted = ", ".join(f"{count} x {what}" for what, count in answered.items())
-    return f"{counted}, {octets / 1e6:,.0f} MB, worst after {max(waits, default=0):.1f} s"
+    return f"{counted(answered)}, {octets / 1e6:,.0f} MB, worst after {max(waits, default=0):.1f} s"
 
 
 def pages(clients: int) -> Callable[[str], str]:
@@ -385,12 +392,8 @@ def pages(clients: int) -> Callable[[str], str]:
                 except OSError as error:
                     came[str(error)] += 1
 
-        threads = [threading.Thread(target=read) for _ in range(clients)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        return ", ".join(f"{count} x {what}" for what, count in came.items())
+        together(clients, read)
+        return counted(came)
 
     return run
 
@@ -398,6 +401,7 @@ def pages(clients: int) -> Callable[[str], str]:
 STATUS = '{"op":"Status","id":"q"}'
 WATCH = '{"op":"Status","type":"watch","id":"q"}'
 LIST = '{"op":"List","id":"q"}'
+RESOLVE = '{"op":"Resolve","type":"f%d","id":"q"}'
 ROSAPI = '{"op":"call_service","id":"q","service":"/rosapi/%s","args":%s}'
 MANY = 1000
 FRAGMENT = b" " * 1_000_000
@@ -405,52 +409,45 @@ FRAGMENTS = masked(0x01, FRAGMENT) + masked(0x00, FRAGMENT) * 15
 PACKED_FRAGMENTS = masked(0x41, packed(FRAGMENT * 16))
 
 
-def one_input(row: str, name: str) -> Attack:
-    return Attack(row, f"one frame: {name}", inputs(HOSTILE[name]))
+def one_input(name: str) -> Attack:
+    return Attack(f"one frame: {name}", inputs(HOSTILE[name]))
 
 
 ATTACKS: Mapping[str, Attack] = {
-    "dimensions": one_input("1", "60,000 dimensions"),
-    "huge": one_input("2", "huge dimensions"),
-    "lists": one_input("3", "empty lists"),
-    "objects": Attack("3", "one frame of small objects to rosbridge", small_objects),
-    "cbor-lists": one_input("3", "empty lists in CBOR"),
-    "latch": Attack("4", "30 latched topics, 4 MB each", latch),
-    "data": Attack("5", "4 times 20 x 2 MB for a component that hangs, then gone", data),
-    "kills": Attack("6", "10 times 100 kills of what hangs", kills),
-    "calls": Attack("6", "400 calls that hang, given up after 10 ms", hanging_calls),
-    "type": Attack("8", "a subscriber with the wrong type, then the publisher", wrong_type),
-    "pings": Attack("9", "pings for five seconds, nothing read", flood(Opcode.PING, b"")),
-    "tiny": Attack(
-        "9", "List for five seconds, nothing read", flood(Opcode.TEXT, b'{"op":"List","id":"1"}')
-    ),
-    "half-open": Attack("10", "500 handshakes that do not go on", half_open),
-    "id": one_input("11", "dimensions as the id"),
-    "fragments": Attack("13", "16 fragments of 1 MB, no last", unfinished(1, FRAGMENTS)),
-    "fragments-200": Attack("13", "the same from 200 clients", unfinished(200, FRAGMENTS)),
-    "packed": Attack("13", "15 KB that become 16 MB, no last", unfinished(1, PACKED_FRAGMENTS)),
-    "packed-200": Attack("13", "the same from 200", unfinished(200, PACKED_FRAGMENTS)),
-    "bombs": Attack("13", "16 MB in 15.5 KB for five seconds from 8 clients", bombs(8)),
-    "bombs-200": Attack("13", "the same from 200 clients", bombs(200)),
-    "status": Attack("2", "Status from 200 clients", crowd(200, STATUS), MANY),
-    "watch": Attack(
-        "3", "Status watch, List from 200, connecting anew",
+    "dimensions": one_input("60,000 dimensions"),
+    "huge": one_input("huge dimensions"),
+    "lists": one_input("empty lists"),
+    "objects": Attack("one frame of small objects to rosbridge", small_objects),
+    "cbor-lists": one_input("empty lists in CBOR"),
+    "latch": Attack("30 latched topics, 4 MB each", latch),
+    "data": Attack("4 times 20 x 2 MB for a component that hangs, then gone", data),
+    "kills": Attack("10 times 100 kills of what hangs", kills),
+    "calls": Attack("400 calls that hang, given up after 10 ms", hanging_calls),
+    "type": Attack("a subscriber with the wrong type, then the publisher", wrong_type),
+    "pings": Attack("pings for five seconds, nothing read", flood(Opcode.PING, b"")),
+    "tiny": Attack("List for five seconds, nothing read", flood(Opcode.TEXT, LIST.encode())),
+    "half-open": Attack("500 handshakes that do not go on", half_open),
+    "id": one_input("dimensions as the id"),
+    "fragments": Attack("16 fragments of 1 MB, no last", unfinished(1, FRAGMENTS)),
+    "fragments-200": Attack("the same from 200 clients", unfinished(200, FRAGMENTS)),
+    "packed": Attack("15 KB that become 16 MB, no last", unfinished(1, PACKED_FRAGMENTS)),
+    "packed-200": Attack("the same from 200", unfinished(200, PACKED_FRAGMENTS)),
+    "bombs": Attack("16 MB in 15.5 KB for five seconds from 8 clients", bombs(8)),
+    "bombs-200": Attack("the same from 200 clients", bombs(200)),
+    "status": Attack("Status from 200 clients", crowd(200, STATUS), MANY),
+    "watch": Attack("Status watch, List from 200, connecting anew",
         crowd(200, WATCH, LIST, again=True), MANY,
     ),
-    "list": Attack("3", "List from 200 clients", crowd(200, LIST), MANY),
-    "resolve": Attack(
-        "3", "Resolve from 200 clients", crowd(200, '{"op":"Resolve","type":"f%d","id":"q"}'), MANY
-    ),
-    "topics": Attack(
-        "3", "rosapi/topics_and_raw_types from 8 clients",
+    "list": Attack("List from 200 clients", crowd(200, LIST), MANY),
+    "resolve": Attack("Resolve from 200 clients", crowd(200, RESOLVE), MANY),
+    "topics": Attack("rosapi/topics_and_raw_types from 8 clients",
         crowd(8, ROSAPI % ("topics_and_raw_types", "{}"), path="/rosbridge"), MANY,
     ),
-    "topic-type": Attack(
-        "3", "rosapi/topic_type from 200 clients",
+    "topic-type": Attack("rosapi/topic_type from 200 clients",
         crowd(200, ROSAPI % ("topic_type", '{"topic":"/uoarm/f%d"}'), path="/rosbridge"), MANY,
     ),
-    "metrics": Attack("3", "metrics from 20 clients", pages(20), MANY),
-    "heads": Attack("12", "100 times Host twice, 100 times the path //[x", two_hosts),
+    "metrics": Attack("metrics from 20 clients", pages(20), MANY),
+    "heads": Attack("100 times Host twice, 100 times the path //[x", two_hosts),
 }  # fmt: skip
 
 

@@ -12,15 +12,14 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import os
 import re
 import signal
 import statistics
+import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +28,10 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
-from bench._attack_components import configuration
 from bench._attacks import ATTACKS
 from bench.tables import print_table
+from bench.turns import ROOT, load, module, running, serving
 
-HERE = Path(__file__).parent
 PACE_SECONDS = 0.02
 STOP_SECONDS = 0.25
 QUIET_SECONDS = 3.0
@@ -42,6 +40,25 @@ TERM_SECONDS = 2.0
 MOST_SECONDS = 90.0
 OPENED_AT_ONCE = 50
 FORM = Subprotocol("uoarm.v1.json")
+HOLDS = (
+    "input: {endpoint: ['bench._components:hold']}, output: {endpoint: ['bench._components:hold']}"
+)
+ROBOT = "version: 1\nbridges: {python: {}}\nfunctions:\n"
+FUNCTION = "  %s: {components: [{name: %s, bridge: python, %s}]}\n"
+COMPONENTS = {
+    **{
+        name: f"service: {{endpoint: ['bench._components:{name}']}}"
+        for name in ("add", "anything", "sleep")
+    },
+    "hang": HOLDS,
+    "drive": "input: {endpoint: ['bench._components:drive'], stop: {message: {speed: 0}}}",
+}
+
+
+def configuration(functions: int) -> str:
+    """Return the robot's file, with so many functions more, `f0` and on."""
+    components = COMPONENTS | {f"f{number}": HOLDS for number in range(functions)}
+    return ROBOT + "".join(FUNCTION % (name, name, does) for name, does in components.items())
 
 
 @frozen
@@ -97,40 +114,6 @@ class Client:
         return waits
 
 
-@asynccontextmanager
-async def serving(
-    source: Path, functions: int
-) -> AsyncIterator[tuple[str, asyncio.subprocess.Process]]:
-    """Run `uoarm serve`, with so many functions to be opened; yields its address and process."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "robot.yaml"
-        file.write_text(configuration(functions), encoding="utf-8")
-        paths = os.pathsep.join(map(str, (source / "src", HERE.parent)))
-        log = (Path(folder) / "log").open("wb")
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "uoarm", "serve", str(file), "--port", "0", "--deflate",
-            stdout=asyncio.subprocess.PIPE, stderr=log,
-            env={**os.environ, "PYTHONPATH": paths, "PYTHONUNBUFFERED": "1"},
-        )  # fmt: skip
-        assert process.stdout is not None
-        try:
-            found = None
-            while found is None:
-                line = (await process.stdout.readline()).decode()
-                if not line:
-                    raise RuntimeError((Path(folder) / "log").read_text())
-                found = re.search(r"(ws://[^ ]+/)", line)
-            yield found.group(1), process
-        finally:
-            log.close()
-            if process.returncode is None:
-                process.send_signal(signal.SIGTERM)
-            with suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(process.wait(), 20)
-            if process.returncode is None:
-                process.kill()
-
-
 def use(process: int) -> Use:
     """Return what a process uses now; nothing when it is gone."""
     try:
@@ -141,42 +124,25 @@ def use(process: int) -> Use:
     return Use(int(found.get("VmRSS", 0)) / 1000, int(found.get("Threads", 0)))
 
 
-@asynccontextmanager
-async def attacking(name: str, url: str) -> AsyncIterator[asyncio.Future[tuple[bytes, bytes]]]:
-    """Run an attack in a process of its own; what it printed is the result."""
-
-    async def run() -> tuple[bytes, bytes]:
-        attacker = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "bench._attacks", name, url,
-            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE, cwd=HERE.parent,
-        )  # fmt: skip
-        try:
-            return await attacker.communicate()
-        finally:
-            if attacker.returncode is None:
-                attacker.kill()
-                await attacker.wait()
-
-    running = asyncio.ensure_future(run())
-    try:
-        yield running
-    finally:
-        running.cancel()
-        with suppress(asyncio.CancelledError):
-            await running
+@contextmanager
+def attacking(name: str, url: str) -> Iterator[subprocess.Popen[str]]:
+    """Run an attack in a process of its own; what it prints is the result."""
+    words = module("bench._attacks", name, url)
+    with running(words, signal.SIGKILL, stderr=subprocess.PIPE) as attacker:
+        yield attacker.process
 
 
 async def attacked(name: str, url: str, server: int) -> tuple[str, Use]:
     """Run one attack to its end; returns how the server answered, and the most that it used."""
     peak = use(server)
     end = time.monotonic() + MOST_SECONDS
-    async with attacking(name, url) as running:
-        while not running.done() and time.monotonic() < end:
+    with attacking(name, url) as attacker:
+        while attacker.poll() is None and time.monotonic() < end:
             now = use(server)
             peak = Use(max(peak.megabytes, now.megabytes), max(peak.threads, now.threads))
             await asyncio.sleep(0.05)
-        out, err = running.result() if running.done() else (b"", b"")
-    lines = (out or err).decode().strip().splitlines()
+        out, err = attacker.communicate() if attacker.returncode is not None else ("", "")
+    lines = (out or err).strip().splitlines()
     return (lines[-1] if lines else f"no end after {MOST_SECONDS:g} s"), peak
 
 
@@ -201,16 +167,15 @@ async def answered(socket: ClientConnection, identities: set[str]) -> None:
         identities.discard(answer.get("id", ""))
 
 
-async def terminated(name: str, url: str, process: asyncio.subprocess.Process) -> str:
+async def terminated(name: str, url: str, process: subprocess.Popen[str]) -> str:
     """Return for how many seconds a server lives on after SIGTERM, beside an attack."""
-    async with attacking(name, url):
+    with attacking(name, url):
         await asyncio.sleep(TERM_SECONDS)
         since = time.perf_counter()
-        with suppress(ProcessLookupError):
-            process.send_signal(signal.SIGTERM)
+        process.send_signal(signal.SIGTERM)
         try:
-            await asyncio.wait_for(process.wait(), MOST_SECONDS)
-        except asyncio.TimeoutError:
+            await asyncio.to_thread(process.wait, MOST_SECONDS)
+        except subprocess.TimeoutExpired:
             return f"more than {MOST_SECONDS:g}"
         return f"{time.perf_counter() - since:.1f}"
 
@@ -218,7 +183,8 @@ async def terminated(name: str, url: str, process: asyncio.subprocess.Process) -
 async def attack(name: str, source: Path) -> tuple[str, ...]:
     """Return the row of an attack."""
     attack = ATTACKS[name]
-    async with serving(source, attack.functions) as (url, process):
+    text = configuration(attack.functions)
+    with serving(source, text, "--deflate", stderr=subprocess.DEVNULL) as (url, process):
         options: dict[str, Any] = {"subprotocols": [FORM], "ping_interval": None, "max_size": None}
         async with (
             connect(url, open_timeout=60, **options) as owner,
@@ -241,7 +207,7 @@ async def attack(name: str, source: Path) -> tuple[str, ...]:
                 with suppress(asyncio.CancelledError, ConnectionClosed):
                     await task
     row = (
-        attack.row, attack.sent, answer[:90],
+        name, attack.sent, answer[:90],
         *(f"{seconds * 1000:,.1f}" for seconds in (quiet, statistics.median(waits), max(waits))),
         f"{max(waits) / quiet:,.0f}",
         *(f"{seconds * 1000:,.1f}" for seconds in (quiet_stop, max(stops, default=0.0))),
@@ -257,16 +223,16 @@ def main() -> int:
     """Print the table; return 0 when the server lived."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help=f"of {', '.join(ATTACKS)}; all when left out")
-    parser.add_argument("--source", type=Path, default=HERE.parent, metavar="FOLDER")
+    parser.add_argument("--source", type=Path, default=ROOT, metavar="FOLDER")
     options = parser.parse_args()
     source = options.source.resolve()
     rows = [asyncio.run(attack(name, source)) for name in options.names or ATTACKS]
     head = (
-        "row", "sent", "answer", "quiet median, ms", "median, ms", "worst, ms", "worst / quiet",
+        "attack", "sent", "answer", "quiet median, ms", "median, ms", "worst, ms", "worst / quiet",
         "Stop quiet, ms", "Stop worst, ms", "SIGTERM, s",
         "MB before / most / after", "threads before / most / after",
     )  # fmt: skip
-    print_table(f"A well-behaved client beside attacks (load {os.getloadavg()[0]:.1f})", head, rows)
+    print_table(f"A well-behaved client beside attacks ({load()})", head, rows)
     return int(any(row[9].startswith("died") for row in rows))
 
 

@@ -7,31 +7,10 @@ import threading
 import time
 from collections.abc import Callable
 from types import FrameType
-from typing import Any
 
-import uoarm
 from bench.tables import print_table
-from uoarm.config import loads
-from uoarm.testing import MemoryBridge
+from bench.takeover import chain
 
-NUMBER: Any = {"type": "integer"}
-ROBOT = """
-version: 1
-bridges: {one: {plugin: memory}, two: {plugin: memory}}
-functions:
-  camera:
-    components:
-      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
-      - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
-  finder:
-    components:
-      - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
-         output: {endpoint: [finder]}}
-  name:
-    components:
-      - {name: namer, bridge: two, input: {from: finder, endpoint: [namer]},
-         output: {endpoint: [namer]}}
-"""
 CONTROL = "uoarm._control"
 OWN = ("uoarm.", "uoarm_")
 _QUIET_SECONDS = 0.5
@@ -94,11 +73,7 @@ class Trace:
 def main() -> None:
     """Print the table of ways."""
     trace = Trace()
-    one, two = MemoryBridge("one"), MemoryBridge("two")
-    best, _ = one.emitter("best", NUMBER), two.emitter("spare", NUMBER)
-    two.loop("finder", NUMBER)
-    two.loop("namer", NUMBER)
-    with uoarm.RobotManager(loads(ROBOT), bridges={"one": one, "two": two}) as robot:
+    with chain() as (robot, one, best, _):
         robot.request("name").kill()
         time.sleep(_QUIET_SECONDS)
         rows = [("request of three steps, warm", *trace.run(lambda: robot.request("name")))]

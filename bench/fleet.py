@@ -7,29 +7,43 @@ threads of the desk's process.
 
 from __future__ import annotations
 
+import asyncio
 import os
-import resource
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
+from websockets.asyncio.server import ServerConnection, serve
 from websockets.sync.client import ClientConnection, connect
 
-from bench._fleet_peer import LARGE, ROBOT, SMALL
-from bench.tables import at, print_table
+from bench._components import Packet
+from bench.tables import at, microseconds, print_table, spread
+from bench.turns import ROOT, module, resident_megabytes, running
 from uoarm import QueuePolicy, RobotManager
+from uoarm._support.process_tuning import keep_memory, short_switch_interval
 from uoarm.config import loads
 from uoarm.server import ServerOptions, serve_in_thread
 
-ORIGIN = str(Path(__file__).parent / "robot.yaml")
+ORIGIN = str(ROOT / "bench" / "robot.yaml")
+SMALL, LARGE = 1_000, 921_600
+ROBOT = """
+version: 1
+bridges: {python: {}}
+export: {local: ["*"]}
+functions:
+  echo: {components: [{name: echo, bridge: python, service: {endpoint: ["_components:echo"]}}]}
+  small: {components: [{name: small, bridge: python, output: {endpoint: ["bench.fleet:small"]}}]}
+  large: {components: [{name: large, bridge: python, output: {endpoint: ["bench.fleet:large"]}}]}
+"""
 SIZES = {"100 B": 100, "10 KB": 10_000, "1 MB": 1_000_000}
 STREAMS = {"1 KB": (SMALL, 20_000, 500), "921,600 B": (LARGE, 200, 8)}
 """Octets of a message, how many are read, and how many may be under way."""
 FUNCTIONS = {SMALL: "small", LARGE: "large"}
+BARE, LINKED = "bare WebSocket", "call of a function of another manager"
 ROUNDS, MANAGERS = 5, (1, 10, 50)
 
 Trip = Callable[[bytes], object]
@@ -41,46 +55,26 @@ def main() -> None:
         robot, bare, credit = stack.enter_context(peers())
         desk = stack.enter_context(importer(robot))
         socket = stack.enter_context(connect(bare, compression=None, max_size=None))
-        trips = {
-            "bare WebSocket": bare_trip(socket),
-            "call of a function of another manager": hop(desk),
-        }
+        trips = {BARE: bare_trip(socket), LINKED: hop(desk)}
         samples = {(name, size): list[float]() for name in trips for size in SIZES}
         rates = {(name, size): list[float]() for name in trips for size in STREAMS}
         for _ in range(ROUNDS):
             for size, octets in SIZES.items():
                 for name, trip in trips.items():
                     count = 200 if octets < 1e6 else 40
-                    samples[name, size] += times(trip, bytes(octets), count)
+                    samples[name, size] += microseconds(partial(trip, bytes(octets)), repeat=count)
             for size, (octets, count, window) in STREAMS.items():
-                rates["bare WebSocket", size].append(bare_rate(socket, octets, count))
-                rate = stream_rate(desk, credit, octets, count, window)
-                rates["call of a function of another manager", size].append(rate)
-    rows = [(name, *(cell(sorted(samples[name, size])) for size in SIZES)) for name in trips]
+                rates[BARE, size].append(bare_rate(socket, octets, count))
+                rates[LINKED, size].append(stream_rate(desk, credit, octets, count, window))
+    rows = [(name, *(spread(samples[name, size]) for size in SIZES)) for name in trips]
     print_table("Round trip (us, median / p99)", ("what", *SIZES), rows)
-    names = ("bare WebSocket", "call of a function of another manager")
     table = [
         (what, *(f"{at(sorted(rates[name, size]), 0.5):,.0f}" for size in STREAMS))
-        for what, name in zip(("bare WebSocket", "output of another manager"), names, strict=True)
+        for what, name in ((BARE, BARE), ("output of another manager", LINKED))
     ]
     print_table("Messages a second (median of rounds)", ("what", *STREAMS), table)
     head = ("managers", "until all were called (s)", "status (ms)", "MB each", "a death seen (s)")
     print_table("A desk", head, [many(count) for count in MANAGERS])
-
-
-def cell(samples: list[float]) -> str:
-    """Return median and 99th percentile."""
-    return f"{at(samples, 0.5):,.0f} / {at(samples, 0.99):,.0f}"
-
-
-def times(trip: Trip, octets: bytes, count: int) -> list[float]:
-    """Return how long each of so many trips took, in microseconds."""
-    found = []
-    for _ in range(count):
-        start = time.perf_counter_ns()
-        trip(octets)
-        found.append((time.perf_counter_ns() - start) / 1000)
-    return found
 
 
 @contextmanager
@@ -89,19 +83,10 @@ def peers() -> Iterator[tuple[str, str, Path]]:
     with tempfile.TemporaryDirectory() as folder:
         credit = Path(folder) / "credit"
         os.mkfifo(credit)
-        process = subprocess.Popen(
-            [sys.executable, "-m", "bench._fleet_peer"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "FLEET_CREDIT": str(credit)},
-        )
-        assert process.stdout is not None, "it is a pipe"
-        with process:
-            ports = [int(process.stdout.readline()) for _ in range(2)]
-            robot, bare = (f"ws://127.0.0.1:{port}/" for port in ports)
+        words = module("bench.fleet", "peer")
+        with running(words, env={**os.environ, "FLEET_CREDIT": str(credit)}) as peer:
+            robot, bare = (f"ws://127.0.0.1:{peer.said()}/" for _ in range(2))
             yield robot, bare, credit
-            process.terminate()
 
 
 def bare_trip(socket: ClientConnection) -> Trip:
@@ -187,19 +172,13 @@ def hop(desk: RobotManager) -> Trip:
     return trip
 
 
-def resident() -> float:
-    """Return the memory of this process, in MB."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * resource.getpagesize() / 1e6
-
-
 def many(count: int) -> tuple[str, ...]:
     """Return the row of a desk of so many managers."""
     with ExitStack() as stack:
         dying = stack.enter_context(ExitStack())
         urls = [dying.enter_context(served())]
         urls += [stack.enter_context(served()) for _ in range(count - 1)]
-        before = resident()
+        before = resident_megabytes()
         desk = stack.enter_context(RobotManager(loads(importing(urls))))
         start = time.perf_counter()
         for number in range(count):
@@ -208,7 +187,7 @@ def many(count: int) -> tuple[str, ...]:
         start = time.perf_counter()
         desk.status()
         status = time.perf_counter() - start
-        memory = (resident() - before) / count
+        memory = (resident_megabytes() - before) / count
         start = time.perf_counter()
         dying.close()
         while not any(dict(bridge.facts)["breaks"] for bridge in desk.status().bridges):
@@ -217,5 +196,53 @@ def many(count: int) -> tuple[str, ...]:
     return str(count), f"{called:.2f}", f"{1000 * status:.1f}", f"{memory:.1f}", f"{seen:.2f}"
 
 
+def small() -> Iterator[Packet]:
+    """Emit messages of 1 KB, as the reader lets it."""
+    return _paced(SMALL)
+
+
+def large() -> Iterator[Packet]:
+    """Emit pictures, as the reader lets it."""
+    return _paced(LARGE)
+
+
+def _paced(octets: int) -> Iterator[Packet]:
+    """Emit as many messages as the reader asks for, an octet each, in a pipe."""
+    with Path(os.environ["FLEET_CREDIT"]).open("rb", buffering=0) as credit:
+        while asked := credit.read(1024):
+            for _ in asked:
+                yield {"data": bytes(octets)}
+
+
+async def _answer(socket: ServerConnection) -> None:
+    """Give back what comes; of a text, send as many messages as it says, each so long."""
+    async for message in socket:
+        if isinstance(message, bytes):
+            await socket.send(message)
+        else:
+            count, octets = map(int, message.split())
+            for _ in range(count):
+                await socket.send(bytes(octets))
+
+
+async def _run() -> None:
+    async with serve(_answer, "127.0.0.1", 0, max_size=None, compression=None) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        print(port, flush=True)
+        await asyncio.to_thread(sys.stdin.read)
+
+
+def serve_peer() -> None:
+    """Print the ports of a robot's server and of a bare one, and serve until the input ends."""
+    keep_memory()  # and a short switch interval, as `uoarm serve` has it
+    robot = RobotManager(loads(ROBOT, origin=ORIGIN))
+    with short_switch_interval(), robot, serve_in_thread(robot, ServerOptions(port=0)) as server:
+        print(server.ports[0], flush=True)
+        asyncio.run(_run())
+
+
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:]:
+        serve_peer()
+    else:
+        main()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TypedDict
+from typing import Any, TypedDict
 
 from bench.tables import microseconds, print_table, row
 from uoarm._dataplane import Outlet, Route, make_check
@@ -30,34 +31,21 @@ _POSE = MessageStructure(schema_of(_Pose))
 def main() -> None:
     """Print the table of hops."""
     message = {"header": {"stamp": 1.0, "frame_id": "base"}, "x": 1.0, "y": 2.0}
+    ways: dict[str, Sequence[Mapping[str, Any]]] = {
+        "one route, direct": [{}],
+        **{
+            f"one route, checked: {mode.value}": [{"check": make_check(_POSE, mode, "a")}]
+            for mode in (ValidationMode.SAMPLED, ValidationMode.ALWAYS)
+        },
+        "one route with an adapter": [{"transfer": lambda m: {"pose": m["x"]}}],
+        "ten routes of one output": [{}] * 10,
+    }
     rows = [row("a bare bound call", microseconds(lambda: _nothing(message), batch=100), "floor")]
-
-    direct = Outlet()
-    direct.attach(Route("a", "b", _nothing, clock=time.monotonic))
-    rows.append(row("one route, direct", microseconds(lambda: direct.deliver(message), batch=100)))
-
-    for mode in (ValidationMode.SAMPLED, ValidationMode.ALWAYS):
-        checked = Outlet()
-        check = make_check(_POSE, mode, "a")
-        checked.attach(Route("a", "b", _nothing, clock=time.monotonic, check=check))
-        samples = microseconds(partial(checked.deliver, message), batch=100)
-        rows.append(row(f"one route, checked: {mode.value}", samples))
-
-    adapted = Outlet()
-    adapted.attach(
-        Route("a", "b", _nothing, clock=time.monotonic, transfer=lambda m: {"pose": m["x"]})
-    )
-    rows.append(
-        row("one route with an adapter", microseconds(lambda: adapted.deliver(message), batch=100))
-    )
-
-    fan = Outlet()
-    for number in range(10):
-        fan.attach(Route("a", f"b{number}", _nothing, clock=time.monotonic))
-    rows.append(
-        row("ten routes of one output", microseconds(lambda: fan.deliver(message), batch=20))
-    )
-
+    for name, routes in ways.items():
+        outlet = Outlet()
+        for number, given in enumerate(routes):
+            outlet.attach(Route("a", f"b{number}", _nothing, clock=time.monotonic, **given))
+        rows.append(row(name, microseconds(partial(outlet.deliver, message), batch=100)))
     rows.append(row("through a queue to its worker", _through_a_queue(message), "one at a time"))
     print_table("One route hop (us)", ("what", "median", "p99", ""), rows)
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
-from bench.tables import at, print_table
+from bench.tables import at, microseconds, print_table, spread
+from bench.turns import ROOT, module, running
 from uoarm import RobotManager
 from uoarm._host import RemoteBridge
 from uoarm.bridge import Bridge
@@ -24,8 +24,7 @@ from uoarm.errors import BridgeError
 from uoarm.local import PythonBridge, PythonOptions
 from uoarm.model import BridgeSpec, Endpoint, Health, MessageStructure, Role
 
-HERE = Path(__file__).parent
-PARTS = {"path": [str(HERE)]}
+PARTS = {"path": [str(ROOT / "bench")]}
 OPTIONS = PythonOptions.of(PARTS)
 SIZES = {"100 B": 100, "10 KB": 10_000, "1 MB": 1_000_000}
 ANY = MessageStructure(True)
@@ -46,29 +45,17 @@ def main() -> None:
         for _ in range(ROUNDS):
             for size, octets in SIZES.items():
                 for name, trip in trips.items():
-                    samples[name, size] += _times(trip, bytes(octets), 200 if octets < 1e6 else 40)
-    rows = [(name, *(_cell(sorted(samples[name, size])) for size in SIZES)) for name in trips]
+                    count = 200 if octets < 1e6 else 40
+                    samples[name, size] += microseconds(partial(trip, bytes(octets)), repeat=count)
+    rows = [(name, *(spread(samples[name, size]) for size in SIZES)) for name in trips]
     print_table("Round trip (us, median / p99)", ("what", *SIZES), rows)
     print_table(
         f"Noticing a death (ms, silence {SILENCE:g} s)", ("what", "median", "worst"), _deaths()
     )
 
 
-def _cell(samples: list[float]) -> str:
-    return f"{at(samples, 0.5):,.0f} / {at(samples, 0.99):,.0f}"
-
-
-def _times(trip: Trip, octets: bytes, count: int) -> list[float]:
-    found = []
-    for _ in range(count):
-        begun = time.perf_counter_ns()
-        trip(octets)
-        found.append((time.perf_counter_ns() - begun) / 1000)
-    return found
-
-
 def _end(name: str, role: Role = Role.OUTPUT) -> Endpoint:
-    return Endpoint("far", name, role, (f"_hosted_parts:{name}",))
+    return Endpoint("far", name, role, (f"_components:{name}",))
 
 
 def _hosted() -> RemoteBridge:
@@ -96,31 +83,61 @@ def _zenoh() -> Iterator[Trip]:
     A component may take as long as it likes, so that it cannot be called in Zenoh's own threads:
     a thread at either end takes what arrives, as in a host.
     """
-    import zenoh  # noqa: PLC0415 - only this one needs it bare
-
-    from bench._hosted_parts import subscribe  # noqa: PLC0415 - it is for what Zenoh is here for
-    from uoarm._host.transport.zenoh_transport import configuration  # noqa: PLC0415 - the same settings
-
     with tempfile.TemporaryDirectory() as folder:
         place = f"unixsock-stream/{folder}/link"
-        session = zenoh.open(configuration(place, listen=True, timeout=10, lease=10))
-        back: SimpleQueue[Any] = SimpleQueue()
-        ready = threading.Event()
-        subscribe(session, "bench/back", back.put)
-        tokens = session.liveliness()
-        kept = tokens.declare_subscriber("bench/alive", lambda _: ready.set(), history=True)
-        command = [sys.executable, "-m", "bench._hosted_parts", place]
-        with subprocess.Popen(command, cwd=HERE.parent) as child:
-            ready.wait(20)
+        with _session(place, listen=True) as session:
+            back: SimpleQueue[Any] = SimpleQueue()
+            ready = threading.Event()
+            _subscribe(session, "bench/back", back.put)
 
             def trip(octets: bytes) -> object:
                 session.put("bench/there", octets, attachment=b"header")
                 return back.get().payload.to_bytes()
 
-            yield trip
-            child.kill()
-        kept.undeclare()  # type: ignore[no-untyped-call] # zenoh's stub says no more
-        session.close()  # type: ignore[no-untyped-call] # zenoh's stub says no more
+            kept = session.liveliness().declare_subscriber(
+                "bench/alive", lambda _: ready.set(), history=True
+            )
+            with running(module("bench.hosted", place), signal.SIGKILL):
+                ready.wait(20)
+                yield trip
+            kept.undeclare()
+
+
+@contextmanager
+def _session(place: str, *, listen: bool) -> Iterator[Any]:
+    import zenoh  # noqa: PLC0415 - only this one needs it bare
+
+    from uoarm._host.transport.zenoh_transport import configuration  # noqa: PLC0415 - the same settings
+
+    session = zenoh.open(configuration(place, listen=listen, timeout=10, lease=10))
+    yield session
+    session.close()  # type: ignore[no-untyped-call] # zenoh's stub says no more
+
+
+def _subscribe(session: Any, key: str, take: Callable[[Any], object]) -> None:
+    """Have samples handed to `take` in a thread of its own."""
+    import zenoh  # noqa: PLC0415 - only this one needs it bare
+
+    subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(128))
+
+    def receive() -> None:
+        with suppress(zenoh.ZError):  # the session is closed
+            while True:
+                take(subscriber.recv())
+
+    threading.Thread(target=receive, daemon=True).start()
+
+
+def _zenoh_echo(place: str) -> None:
+    """Give back frames over Zenoh and nothing else, until killed."""
+    with _session(place, listen=False) as session:
+
+        def back(sample: Any) -> None:
+            session.put("bench/back", sample.payload, attachment=sample.attachment)
+
+        _subscribe(session, "bench/there", back)
+        session.liveliness().declare_token("bench/alive")
+        signal.pause()
 
 
 def _deaths() -> list[tuple[str, ...]]:
@@ -167,14 +184,14 @@ def _notice(harm: Callable[[RemoteBridge], object]) -> float:
 ROBOT = f"""
 version: 1
 bridges:
-  one: {{plugin: python, host: true, options: {{path: [{HERE}]}}}}
-  two: {{plugin: python, host: true, options: {{path: [{HERE}]}}}}
+  one: {{plugin: python, host: true, options: {{path: [{ROOT}/bench]}}}}
+  two: {{plugin: python, host: true, options: {{path: [{ROOT}/bench]}}}}
 functions:
   numbers:
     components:
-      - {{name: first, bridge: one, priority: 2, output: {{endpoint: ["_hosted_parts:slowly"]}}}}
-      - {{name: second, bridge: two, priority: 1, output: {{endpoint: ["_hosted_parts:slowly"]}}}}
-  here: {{components: [{{name: f, bridge: two, output: {{endpoint: ["_hosted_parts:slowly"]}}}}]}}
+      - {{name: first, bridge: one, priority: 2, output: {{endpoint: ["_components:slowly"]}}}}
+      - {{name: second, bridge: two, priority: 1, output: {{endpoint: ["_components:slowly"]}}}}
+  here: {{components: [{{name: f, bridge: two, output: {{endpoint: ["_components:slowly"]}}}}]}}
 """
 
 
@@ -201,4 +218,7 @@ def _takeovers() -> list[float]:
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:]:
+        _zenoh_echo(sys.argv[1])
+    else:
+        main()

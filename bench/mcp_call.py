@@ -13,12 +13,14 @@ import asyncio
 import json
 import os
 import re
+import signal
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +28,10 @@ from mcp.client.client import Client
 from mcp.client.stdio import StdioServerParameters, stdio_client
 from mcp.client.streamable_http import streamable_http_client
 from mcp.server.mcpserver import MCPServer
-from typing_extensions import TypedDict
 
+from bench._components import Sum
+from bench.tables import print_table, row
+from bench.turns import load, module, running
 from uoarm.client import connect
 
 CONFIGURATION = """
@@ -36,7 +40,7 @@ bridges: {python: {}}
 functions:
   add:
     components:
-      - {name: adder, bridge: python, service: {endpoint: ["bench.mcp_call:add"]}}
+      - {name: adder, bridge: python, service: {endpoint: ["bench._components:add"]}}
 """
 _META = {
     "io.modelcontextprotocol/protocolVersion": "2026-07-28",
@@ -57,24 +61,6 @@ _HEAD = (
     b"Mcp-Method: tools/call\r\nMcp-Name: add\r\nContent-Length: %d\r\n\r\n"
 )
 Way = Callable[[], Awaitable[Any]]
-
-
-class Pair(TypedDict):
-    """What is added."""
-
-    a: float
-    b: float
-
-
-class Sum(TypedDict):
-    """What it makes."""
-
-    value: float
-
-
-def add(request: Pair) -> Sum:
-    """Add two numbers."""
-    return {"value": request["a"] + request["b"]}
 
 
 def serve_sdk(way: str) -> None:
@@ -103,31 +89,6 @@ def serve_sdk(way: str) -> None:
         uvicorn.Server(config).run([listening])
 
 
-@asynccontextmanager
-async def _started(*words: str) -> AsyncIterator[tuple[asyncio.subprocess.Process, list[str]]]:
-    """Start a server; give its process and the addresses that it says."""
-    process = await asyncio.create_subprocess_exec(
-        sys.executable,
-        *words,
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-    )
-    assert process.stderr is not None
-    addresses: list[str] = []
-    is_ours = "uoarm" in words
-    try:
-        while len(addresses) < (1 + ("--http" in words) if is_ours else 1):
-            line = (await process.stderr.readline()).decode()
-            if not line:
-                raise RuntimeError(f"{words} did not start")
-            addresses += re.findall(r"serving (\S+)", line)
-        yield process, addresses
-    finally:
-        process.terminate()
-        await process.wait()
-
-
 async def _bare_http(url: str, stack: AsyncExitStack) -> Way:
     host, port = url.removeprefix("http://").partition("/")[0].split(":")
     reader, writer = await asyncio.open_connection(host, int(port))
@@ -147,7 +108,6 @@ async def _bare_http(url: str, stack: AsyncExitStack) -> Way:
 
 async def _bare_lines(words: tuple[str, ...], stack: AsyncExitStack) -> Way:
     process = await asyncio.create_subprocess_exec(
-        sys.executable,
         *words,
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
@@ -177,12 +137,16 @@ def _by_client(client: Client) -> Way:
 async def _compare(folder: Path, rounds: int, calls: int) -> dict[str, list[float]]:
     configuration = folder / "robot.yaml"
     configuration.write_text(CONFIGURATION, encoding="utf-8")
-    ours = ("-m", "uoarm", "mcp", str(configuration), "--port", "0")
-    theirs = ("-m", "bench.mcp_call", "--serve-sdk")
+    ours = module("uoarm", "mcp", str(configuration), "--port", "0")
+    theirs = module("bench.mcp_call", "--serve-sdk")
     ways: dict[str, Way] = {}
     async with AsyncExitStack() as stack:
-        _, (websocket, http) = await stack.enter_async_context(_started(*ours, "--http", "0"))
-        _, (sdk_http,) = await stack.enter_async_context(_started(*theirs, "http"))
+        urls = []
+        for words in ((*ours, "--http", "0"), (*theirs, "http")):
+            server = running(words, signal.SIGTERM, stderr=subprocess.PIPE)
+            child = stack.enter_context(server)
+            urls += [child.said(r"serving (\S+)") for _ in range(2 if "uoarm" in words else 1)]
+        websocket, http, sdk_http = urls
         robot = await stack.enter_async_context(connect(websocket))
         ways["WebSocket, our client"] = lambda: robot.call("add", {"a": 1, "b": 2})
         for name, url, words in (
@@ -194,7 +158,7 @@ async def _compare(folder: Path, rounds: int, calls: int) -> dict[str, list[floa
             ways[f"HTTP, {name}, SDK's client"] = _by_client(over_http)
             ways[f"stdio, {name}, bare client"] = await _bare_lines(words, stack)
             parameters = StdioServerParameters(
-                command=sys.executable, args=list(words), env=dict(os.environ)
+                command=words[0], args=list(words[1:]), env=dict(os.environ)
             )
             errors = stack.enter_context((folder / "errors.txt").open("a"))
             over_stdio = await stack.enter_async_context(
@@ -226,14 +190,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         times = asyncio.run(_compare(Path(folder), given.rounds, given.calls))
     least = statistics.median(times["WebSocket, our client"])
-    print(f"load {os.getloadavg()[0]:.1f}, {given.rounds} rounds of {given.calls} calls")
-    for name, found in times.items():
-        found.sort()
-        median, late = statistics.median(found), found[int(len(found) * 0.99)]
-        print(
-            f"{name:30} median {median * 1e3:6.2f} ms, p99 {late * 1e3:6.2f} ms,"
-            f" {median / least:4.1f} times"
-        )
+    rows = [
+        row(name, [1000 * took for took in found], f"{statistics.median(found) / least:.1f}", 2)
+        for name, found in times.items()
+    ]
+    title = f"Call of a tool (ms; {load()}, {given.rounds} rounds of {given.calls} calls)"
+    print_table(title, ("way", "median", "p99", "times the first"), rows)
 
 
 if __name__ == "__main__":

@@ -8,19 +8,14 @@ without it.
 
 from __future__ import annotations
 
-import argparse
-import gc
 import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from bench.tables import at, print_table
+from bench.turns import Collections, load, measured_apart, parser, states
 
-HERE = Path(__file__).parents[1]
 GOAL = "faceRecognition"
 BRIDGE = "{{plugin: python, options: {{path: ['{0}']}}, host: {1}}}"
 ROBOT = """
@@ -52,42 +47,18 @@ OTHER = """
         input: {{endpoint: ["chain_components:recognise"]}}
         output: {{endpoint: ["chain_components:recognise"]}}
 """
-_LIMIT_SECONDS = 600
-Samples = dict[str, list[tuple[float, float]]]
-
-
-class Collections:
-    """The nanoseconds that the garbage collector has taken, in whichever thread."""
-
-    def __init__(self, clock: Callable[[], int] = time.perf_counter_ns) -> None:
-        self.spent = 0
-        self._clock = clock
-        self._begun = 0
-        gc.callbacks.append(self._note)
-
-    def _note(self, phase: str, _: dict[str, int]) -> None:
-        now = self._clock()
-        if phase == "start":
-            self._begun = now
-        else:
-            self.spent += now - self._begun
 
 
 def main() -> None:
     """Print the table, from the samples of all rounds."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--before", type=Path, help="a checkout of another state")
-    parser.add_argument("--rounds", type=int, default=1)
-    parser.add_argument("--count", type=int, default=300, help="requests in each round")
-    given = parser.parse_args()
-    states = {"now": HERE, **({"before": given.before.resolve()} if given.before else {})}
+    asked = parser(__doc__)
+    asked.add_argument("--count", type=int, default=300, help="requests in each round")
+    given = asked.parse_args()
     found: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    loads = []
     for _ in range(given.rounds):
-        for state, folder in states.items():
-            for what, samples in _measured_apart(folder, given.count).items():
+        for state, folder in states(given).items():
+            for what, samples in measured_apart(folder, "request", given.count).items():
                 found.setdefault((what, state), []).extend(samples)
-            loads.append(os.getloadavg()[0])
     rows = []
     for (what, state), samples in sorted(found.items()):
         whole, without = (sorted(column) for column in zip(*samples, strict=True))
@@ -95,21 +66,7 @@ def main() -> None:
         rows.append((what, state, *(f"{figure:,.0f}" for figure in figures)))
     head = ("us", "state", "fastest", "decile", "median", "p99", "p99 without collector")
     print_table("The paper's request, a chain of three", head, rows)
-    print(f"load {min(loads):.1f} to {max(loads):.1f}")
-
-
-def _measured_apart(checkout: Path, count: int) -> Samples:
-    """Return what the uoarm of a checkout takes, in a process of its own."""
-    path = os.pathsep.join((str(checkout / "src"), str(HERE)))
-    done = subprocess.run(
-        [sys.executable, "-c", f"from bench.request import measure; measure({count})"],
-        env={**os.environ, "PYTHONPATH": path},
-        stdout=subprocess.PIPE,
-        check=True,
-        timeout=_LIMIT_SECONDS,
-    )
-    samples: Samples = json.loads(done.stdout)
-    return samples
+    print(load())
 
 
 def measure(count: int) -> None:

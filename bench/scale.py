@@ -13,22 +13,16 @@ are exponents of the time without it, too.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import logging
 import math
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
-from bench.request import Collections
 from bench.tables import print_table
+from bench.turns import Collections, measured_apart, parser, states
 
-HERE = Path(__file__).parents[1]
 _SIZES = (10, 100, 1000, 5000)
 _STEPS = ("check", "start", "request", "status", "kill", "death", "apply", "close")
 _LIMIT_SECONDS = 900.0
@@ -42,18 +36,17 @@ Spent = dict[str, tuple[float, float]]
 
 def main() -> None:
     """Print what each step took at each size, and how it grows."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sizes", type=int, nargs="+", default=_SIZES, help="numbers of functions")
-    parser.add_argument("--before", type=Path, help="a checkout of another state")
-    parser.add_argument("--rounds", type=int, default=1)
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    given = parser.parse_args()
-    states = {"now": HERE, **({"before": given.before.resolve()} if given.before else {})}
+    asked = parser(__doc__)
+    asked.add_argument("--sizes", type=int, nargs="+", default=_SIZES, help="numbers of functions")
+    asked.add_argument("--json", action="store_true", help="print JSON")
+    given = asked.parse_args()
     sizes = sorted(set(given.sizes))
-    found: dict[str, dict[int, Spent]] = {state: {} for state in states}
-    for _, size, (state, folder) in itertools.product(range(given.rounds), sizes, states.items()):
-        spent, before = _measured_apart(folder, size), found[state].get(size)
-        found[state][size] = spent if before is None else _least(before, spent)
+    folders = states(given)
+    found: dict[str, dict[int, Spent]] = {state: {} for state in folders}
+    for _, size, (state, folder) in itertools.product(range(given.rounds), sizes, folders.items()):
+        spent = measured_apart(folder, "scale", size)
+        before = found[state].get(size, spent)
+        found[state][size] = {step: tuple(map(min, before[step], spent[step])) for step in _STEPS}
     if given.json:
         print(json.dumps(found, indent=2))
         return
@@ -71,13 +64,6 @@ def main() -> None:
     between = (f"{less:,} to {more:,}" for less, more in pairs)
     head = ("ms", "state", *(f"{size:,}" for size in sizes), *between)
     print_table("Steps by the number of functions; exponents, without the collector", head, rows)
-
-
-def _least(one: Spent, other: Spent) -> Spent:
-    return {
-        step: (min(one[step][0], other[step][0]), min(one[step][1], other[step][1]))
-        for step in _STEPS
-    }
 
 
 def _exponents(step: str, found: dict[int, Spent], less: int, more: int) -> str:
@@ -152,21 +138,6 @@ def _function(number: int) -> str:
         f" output: {{endpoint: [c{number}]}}}}\n"
         f"      - {{name: s{number}, bridge: spare, output: {{endpoint: [s{number}]}}}}\n"
     )
-
-
-def _measured_apart(checkout: Path, size: int) -> Spent:
-    """Return what the uoarm of a checkout takes, in a process of its own."""
-    path = os.pathsep.join((str(checkout / "src"), str(HERE)))
-    done = subprocess.run(
-        [sys.executable, "-c", f"from bench.scale import measure; measure({size})"],
-        env={**os.environ, "PYTHONPATH": path},
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-        timeout=2 * _LIMIT_SECONDS,
-    )
-    spent: Spent = json.loads(done.stdout)
-    return spent
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ processor are not given up. What `--events` writes, a test plays again (`tests/c
 from __future__ import annotations
 
 import gc
-import itertools
 import logging
 import os
 import random
@@ -29,25 +28,23 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import click
 from attrs import Factory, define, evolve, frozen
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bench.tables import print_table
+from bench.turns import ROOT, resident_megabytes
 from uoarm import Connection, RobotManager
 from uoarm._host import RemoteBridge
 from uoarm.config import loads
 from uoarm.model import FailoverPolicy
 from uoarm.testing import ResourceSnapshot, copies, losses, slowness
 
-HERE = Path(__file__).parent
 FAULTS = ("kill", "stop", "pause", "hang", "refuse", "slow")
 DEADLY = frozenset({"kill", "stop", "hang"})
 _MOMENT_SECONDS = 0.25
-_BARS = "▁▂▃▄▅▆▇█"
 PATIENCE_SECONDS = 90.0 * slowness()
 SILENCE_SECONDS = 0.6 * slowness()
 BETWEEN_SECONDS = 1.5
@@ -61,20 +58,20 @@ bridges: {bridges}
 functions:
   numbers:
     components:
-      - {{name: first, bridge: one, priority: 2, output: {{endpoint: ["_soak_parts:numbers"]}}}}
-      - {{name: second, bridge: two, priority: 1, output: {{endpoint: ["_soak_parts:numbers"]}}}}
+      - {{name: first, bridge: one, priority: 2, output: {{endpoint: ["_components:numbers"]}}}}
+      - {{name: second, bridge: two, priority: 1, output: {{endpoint: ["_components:numbers"]}}}}
   found:
     components:
       - name: near
         bridge: three
         priority: 2
-        input: {{from: numbers, endpoint: ["_soak_parts:finder"]}}
-        output: {{endpoint: ["_soak_parts:finder"]}}
+        input: {{from: numbers, endpoint: ["_components:finder"]}}
+        output: {{endpoint: ["_components:finder"]}}
       - name: far
         bridge: four
         priority: 1
-        input: {{from: numbers, endpoint: ["_soak_parts:finder"]}}
-        output: {{endpoint: ["_soak_parts:finder"]}}
+        input: {{from: numbers, endpoint: ["_components:finder"]}}
+        output: {{endpoint: ["_components:finder"]}}
 """
 
 
@@ -198,7 +195,7 @@ def _robot(folder: Path, silence: float) -> str:
         "restarts": 1_000_000,
         "variables": {"UOARM_SOAK": str(folder)},
     }
-    one = {"plugin": "python", "host": host, "options": {"path": [str(HERE)]}}
+    one = {"plugin": "python", "host": host, "options": {"path": [str(ROOT / "bench")]}}
     return ROBOT.format(bridges=dict.fromkeys(("one", "two", "three", "four"), one))
 
 
@@ -208,16 +205,11 @@ def _soak(folder: Path, silence: float, seconds: float, deaths: int, seed: int) 
         connection = robot.request("found", on_message=soak.take, timeout=PATIENCE_SECONDS)
         faults = Faults(robot, folder, seed)
         begun = time.monotonic()
-        with Progress(
-            TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
-        ) as progress:
-            bar = progress.add_task("soaking", total=seconds)
-            first = list(FAULTS)
-            while (passed := time.monotonic() - begun) < seconds or first or faults.deaths < deaths:
-                progress.update(bar, completed=passed, description=_progress(soak, faults))
-                faults.harm(first.pop(0) if first else None)
-                _wait_for_more(soak, connection)
-                soak.samples.append(_look())
+        first = list(FAULTS)
+        while time.monotonic() - begun < seconds or first or faults.deaths < deaths:
+            faults.harm(first.pop(0) if first else None)
+            _wait_for_more(soak, connection)
+            soak.samples.append(_look())
         (folder / "enough").touch()
         unaccounted = _settle(robot, soak, folder)
         doubt = unaccounted, _processes(folder)
@@ -227,16 +219,11 @@ def _soak(folder: Path, silence: float, seconds: float, deaths: int, seed: int) 
 def _look() -> Sample:
     """Return what this process holds now, after a collection."""
     gc.collect()
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return Sample(
-        memory_megabytes=pages * os.sysconf("SC_PAGE_SIZE") / 1e6,
+        memory_megabytes=resident_megabytes(),
         threads=threading.active_count(),
         descriptors=sum(1 for _ in Path("/proc/self/fd").iterdir()),
     )
-
-
-def _progress(soak: Soak, faults: Faults) -> str:
-    return f"{soak.arrived} messages, {faults.done.total()} faults"
 
 
 def _wait_for_more(soak: Soak, connection: Connection) -> None:
@@ -302,28 +289,17 @@ def _report(
         ("messages counted as lost", f"{counted.total():,} ({by_reason})"),
         ("given to two candidates at once", f"{copies(status):,}"),
         ("neither, or counted twice if below 0", f"{unaccounted}, in {hosts} hosts"),
-        ("memory, MB", _drawn([sample.memory_megabytes for sample in soak.samples])),
-        ("threads", _drawn([sample.threads for sample in soak.samples])),
-        ("descriptors", _drawn([sample.descriptors for sample in soak.samples])),
+        ("memory, MB", _range([sample.memory_megabytes for sample in soak.samples])),
+        ("threads", _range([sample.threads for sample in soak.samples])),
+        ("descriptors", _range([sample.descriptors for sample in soak.samples])),
         ("growth after the first third", f"{growth:.1f} MB"),
     ]
     print_table("Soak", ("what", "figures"), rows)
     return abs(unaccounted) <= max(1, hosts // HOSTS_IN_DOUBT) and growth < GROWTH_MEGABYTES
 
 
-def _sparkline(values: Sequence[float], width: int = 60) -> str:
-    """Draw a row of values as bars, the lowest as the lowest bar; each bar is a mean."""
-    if not values:
-        return ""
-    width = min(width, len(values))
-    edges = [round(n * len(values) / width) for n in range(width + 1)]
-    means = [sum(values[low:high]) / (high - low) for low, high in itertools.pairwise(edges)]
-    low, span = min(means), (max(means) - min(means)) or 1.0
-    return "".join(_BARS[int((mean - low) / span * (len(_BARS) - 1))] for mean in means)
-
-
-def _drawn(values: list[float]) -> str:
-    return f"{min(values):.0f} to {max(values):.0f} {_sparkline(values)}"
+def _range(values: list[float]) -> str:
+    return f"{min(values):.0f} to {max(values):.0f}, {values[-1]:.0f} at the end"
 
 
 if __name__ == "__main__":

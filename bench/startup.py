@@ -9,20 +9,21 @@ cache of compiled modules, is not counted.
 
 from __future__ import annotations
 
-import argparse
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from bench.request import BRIDGE, GOAL, ROBOT
 from bench.tables import print_table
+from bench.turns import ROOT, environment, load, parser, states
 
-HERE = Path(__file__).parents[1]
+BENCH = ROOT / "bench"
 SMALL = """
 version: 1
 bridges: {python: {}}
@@ -49,26 +50,28 @@ Sample = tuple[float, float]
 
 def main() -> None:
     """Print the table, from the samples of all rounds."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--before", type=Path, help="a checkout of another state")
-    parser.add_argument("--rounds", type=int, default=9)
-    given = parser.parse_args()
-    states = {"now": HERE, **({"before": given.before.resolve()} if given.before else {})}
+    given = parser(__doc__, rounds=9).parse_args()
     found: dict[tuple[str, str], list[Sample]] = {}
-    loads = []
     with tempfile.TemporaryDirectory() as folder:
         measured = _measured(Path(folder))
         environments = {
-            state: _environment(checkout, Path(folder, state)) for state, checkout in states.items()
+            state: environment(
+                checkout,
+                BENCH,
+                PYTHONPYCACHEPREFIX=str(Path(folder, state)),
+                PYTHONDONTWRITEBYTECODE="",
+            )
+            for state, checkout in states(given).items()
         }
         for number in range(given.rounds + 1):
             for what, take in measured.items():
-                for state, environment in environments.items():
-                    sample = take(environment)
+                for state, variables in environments.items():
+                    sample = take(variables)
                     if number:
                         found.setdefault((what, state), []).append(sample)
-            loads.append(os.getloadavg()[0])
-        modules = {state: _run(["-c", MODULES], env) for state, env in environments.items()}
+        modules = {
+            state: _run(["-c", MODULES], variables) for state, variables in environments.items()
+        }
     rows = []
     for (what, state), samples in found.items():
         spent, computed = zip(*samples, strict=True)
@@ -78,14 +81,7 @@ def main() -> None:
     print_table("From the start of a process, in ms", head, rows)
     for state, count in modules.items():
         print(f"`import uoarm`, {state}: {count.strip()} modules loaded")
-    print(f"load {min(loads):.1f} to {max(loads):.1f}")
-
-
-def _environment(checkout: Path, cache: Path) -> Environment:
-    """Return the environment of a process with a checkout's uoarm, and a cache of its own."""
-    path = os.pathsep.join((str(checkout / "src"), str(HERE / "bench")))
-    variables = {"PYTHONPATH": path, "PYTHONPYCACHEPREFIX": str(cache)}
-    return {**os.environ, **variables, "PYTHONDONTWRITEBYTECODE": ""}
+    print(load())
 
 
 def _measured(folder: Path) -> Mapping[str, Callable[[Environment], Sample]]:
@@ -95,31 +91,26 @@ def _measured(folder: Path) -> Mapping[str, Callable[[Environment], Sample]]:
     chains = []
     for name, host in (("ours", "false"), ("hosted", "true")):
         file = folder / f"{name}.yaml"
-        file.write_text(ROBOT.format(BRIDGE.format(HERE / "bench", host)), encoding="utf-8")
+        file.write_text(ROBOT.format(BRIDGE.format(BENCH, host)), encoding="utf-8")
         chains.append(FIRST_MESSAGE.format(file=file))
-    ours, hosted = chains
-    return {
-        "an interpreter alone": lambda env: _whole(["-c", "pass"], env),
-        "`import attrs, cattrs`": lambda env: _whole(["-c", "import attrs, cattrs"], env),
-        "`import uoarm`": lambda env: _whole(["-c", "import uoarm"], env),
-        "`from uoarm import RobotManager`": lambda env: _whole(
-            ["-c", "from uoarm import RobotManager"], env
-        ),
-        "`import uoarm._host.__main__`, a bridge host": lambda env: _whole(
-            ["-c", "import uoarm._host.__main__"], env
-        ),
-        "`uoarm --help`": lambda env: _whole(["-m", "uoarm", "--help"], env),
-        "`uoarm check`, a file of 10 lines": lambda env: _whole(
-            ["-m", "uoarm", "check", str(small)], env
-        ),
-        "first message of a chain of three": lambda env: _to_first_message(ours, env),
-        "the same, each component in a host": lambda env: _to_first_message(hosted, env),
+    whole = {
+        "an interpreter alone": ("-c", "pass"),
+        "`import attrs, cattrs`": ("-c", "import attrs, cattrs"),
+        "`import uoarm`": ("-c", "import uoarm"),
+        "`from uoarm import RobotManager`": ("-c", "from uoarm import RobotManager"),
+        "`import uoarm._host.__main__`, a bridge host": ("-c", "import uoarm._host.__main__"),
+        "`uoarm --help`": ("-m", "uoarm", "--help"),
+        "`uoarm check`, a file of 10 lines": ("-m", "uoarm", "check", str(small)),
+    }
+    names = ("first message of a chain of three", "the same, each component in a host")
+    return {name: partial(_whole, words) for name, words in whole.items()} | {
+        name: partial(_to_first_message, code) for name, code in zip(names, chains, strict=True)
     }
 
 
-def _whole(arguments: list[str], environment: Environment) -> Sample:
+def _whole(arguments: Sequence[str], variables: Environment) -> Sample:
     start, before = time.perf_counter(), _computed()
-    _run(arguments, environment)
+    _run(arguments, variables)
     return (time.perf_counter() - start) * 1000, (_computed() - before) * 1000
 
 
@@ -129,10 +120,10 @@ def _computed() -> float:
     return times.children_user + times.children_system
 
 
-def _run(arguments: list[str], environment: Environment) -> str:
+def _run(arguments: Sequence[str], variables: Environment) -> str:
     return subprocess.run(
         [sys.executable, *arguments],
-        env=environment,
+        env=variables,
         capture_output=True,
         text=True,
         check=True,
@@ -140,10 +131,10 @@ def _run(arguments: list[str], environment: Environment) -> str:
     ).stdout
 
 
-def _to_first_message(code: str, environment: Environment) -> Sample:
+def _to_first_message(code: str, variables: Environment) -> Sample:
     start, before = time.perf_counter(), _computed()
     with subprocess.Popen(
-        [sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE
+        [sys.executable, "-c", code], env=variables, stdout=subprocess.PIPE
     ) as process:
         assert process.stdout is not None
         if not process.stdout.readline():

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
-__all__ = ["microseconds", "print_table"]
+__all__ = ["at", "microseconds", "print_table", "row", "spread"]
 
 
 def microseconds(
@@ -26,15 +26,21 @@ def at(samples: Sequence[float], quantile: float) -> float:
     return samples[min(len(samples) - 1, int(len(samples) * quantile))]
 
 
-def row(name: str, samples: Sequence[float], note: str = "") -> tuple[str, ...]:
+def spread(samples: Iterable[float], digits: int = 0) -> str:
+    """Return median and 99th percentile in one cell."""
+    ordered = sorted(samples)
+    return f"{at(ordered, 0.5):,.{digits}f} / {at(ordered, 0.99):,.{digits}f}"
+
+
+def row(name: str, samples: Iterable[float], note: str = "", digits: int = 1) -> tuple[str, ...]:
     """Return a table row with median and 99th percentile."""
-    return name, f"{at(samples, 0.5):,.1f}", f"{at(samples, 0.99):,.1f}", note
+    return name, *spread(samples, digits).split(" / "), note
 
 
-def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def print_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print one table in Markdown."""
     print(f"\n## {title}\n")
     print("| " + " | ".join(head) + " |")
     print("|" + "---|" * len(head))
-    for sequence in rows:
-        print("| " + " | ".join(sequence) + " |")
+    for cells in rows:
+        print("| " + " | ".join(cells) + " |")

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import itertools
-import os
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from queue import SimpleQueue
 from typing import Any
 
 import uoarm
-from bench.tables import at, print_table
+from bench.tables import print_table, row
+from bench.turns import load
 from uoarm.config import loads
-from uoarm.testing import MemoryBridge
+from uoarm.testing import Emitter, MemoryBridge
+
+__all__ = ["chain"]
 
 DEATHS = 200
-NUMBER: Any = {"type": "integer"}
 ROBOT = """
 version: 1
 bridges: {one: {plugin: memory}, two: {plugin: memory}}
@@ -35,30 +38,37 @@ functions:
 """
 
 
+@contextmanager
+def chain() -> Iterator[tuple[uoarm.RobotManager, MemoryBridge, Emitter, Emitter]]:
+    """Run a chain of three; gives the bridge of its best source, the source, and the spare."""
+    number: Any = {"type": "integer"}
+    one, two = MemoryBridge("one"), MemoryBridge("two")
+    best, spare = one.emitter("best", number), two.emitter("spare", number)
+    two.loop("finder", number)
+    two.loop("namer", number)
+    with uoarm.RobotManager(loads(ROBOT), bridges={"one": one, "two": two}) as robot:
+        yield robot, one, best, spare
+
+
 def main() -> None:
     """Print the table of takeovers."""
     rows = []
     for name, function in (("the source itself", "camera"), ("the source of a chain", "name")):
-        found = sorted(1000 * _takeover(function) for _ in range(DEATHS))
-        rows.append((name, f"{at(found, 0.5):.2f}", f"{at(found, 0.99):.2f}"))
+        rows.append(row(name, [1000 * _takeover(function) for _ in range(DEATHS)], digits=2)[:3])
     head = ("what the application receives", "median ms", "p99 ms")
     print_table("Death to the first message of a spare that runs", head, rows)
-    print(f"load {os.getloadavg()[0]:.1f}")
+    print(load())
 
 
 def _takeover(function: str) -> float:
     """Let the camera die while a spare emits without a pause; return the seconds of silence."""
-    one, two = MemoryBridge("one"), MemoryBridge("two")
-    best, spare = one.emitter("best", NUMBER), two.emitter("spare", NUMBER)
-    two.loop("finder", NUMBER)
-    two.loop("namer", NUMBER)
     reports: SimpleQueue[float] = SimpleQueue()
 
     def take(number: int) -> None:
         if number > 0:
             reports.put(time.perf_counter())
 
-    with uoarm.RobotManager(loads(ROBOT), bridges={"one": one, "two": two}) as robot:
+    with chain() as (robot, one, best, spare):
         robot.request(function, on_message=take)
         best.emit(0)
         over = threading.Event()
@@ -72,7 +82,7 @@ def _takeover(function: str) -> float:
     return seconds
 
 
-def _emit(spare: Any, over: threading.Event) -> None:
+def _emit(spare: Emitter, over: threading.Event) -> None:
     for number in itertools.count(1):
         spare.emit(number)
         if over.wait(0.0005):
