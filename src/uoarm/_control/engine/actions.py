@@ -46,7 +46,6 @@ __all__ = [
     "Stop",
     "SwitchInputs",
     "WakeAt",
-    "WakeOffers",
     "Warn",
 ]
 
@@ -336,11 +335,6 @@ class WakeAt:
 
 
 @frozen
-class WakeOffers:
-    """Wake those who wait for offers to be tried, or closed."""
-
-
-@frozen
 class Warn:
     """Write to the log what no caller and no listener gets."""
 
@@ -376,7 +370,6 @@ LocalAction: TypeAlias = (
     | RetireBridge
     | Adopt
     | WakeAt
-    | WakeOffers
     | Warn
 )
 Action: TypeAlias = CallAction | LocalAction

@@ -7,15 +7,7 @@ from collections.abc import Set as AbstractSet
 from itertools import chain
 from typing import Any
 
-from uoarm._control.engine.actions import (
-    Action,
-    Announce,
-    CancelBatch,
-    Open,
-    Publish,
-    Resolve,
-    SetCheck,
-)
+from uoarm._control.engine import actions as act
 from uoarm._control.engine.move import forget_earlier
 from uoarm._control.engine.placement import (
     PORTS,
@@ -66,7 +58,7 @@ class Draft(State):
     """
 
     now: float
-    actions: list[Action]
+    actions: list[act.Action]
     concerned: list[str]
     # A state refuses to be assigned to; this one is still in the making.
     __setattr__ = object.__setattr__
@@ -85,6 +77,10 @@ class Draft(State):
         values.update(vars(self))
         del values["now"], values["actions"], values["concerned"]
         return made
+
+    def do(self, action: act.Action) -> None:
+        """Have something done, after what is to be done already."""
+        self.actions.append(action)
 
     def new_id(self) -> int:
         """Return an id that nothing has had before."""
@@ -123,18 +119,18 @@ class Draft(State):
 
     def publish(self, record: ConnectionRecord) -> None:
         """Have the new state of a connection shown at its handle, and announced."""
-        self.actions.append(Publish(record))
+        self.do(act.Publish(record))
         self.announce(record, record.state.value, record.cause)
 
     def announce(self, record: ConnectionRecord, change: str, cause: str = "") -> None:
         """Have a change of a connection announced to the listeners."""
         function = record.wanted.function
-        self.actions.append(Announce(f"connection {record.id}", change, cause, function))
+        self.do(act.Announce(f"connection {record.id}", change, cause, function))
 
     def resolve(self, record: ConnectionRecord) -> None:
         """Have the first plan of a request sought, without what is avoided now."""
         function = record.wanted.function
-        self.actions.append(Resolve(record.waiter, record.id, function, self.avoided_lately()))
+        self.do(act.Resolve(record.waiter, record.id, function, self.avoided_lately()))
 
     def is_outdated(self, plan: Plan, candidates: int) -> bool:
         """Say whether a plan, found with earlier candidates, has one that is another by now.
@@ -208,8 +204,7 @@ class Draft(State):
         # only parts that are open already are returned here.
         if self.batches:
             self._cancel(placement)
-        edges = self._part_edges(placement)
-        closed = self._close_ports(placement) if ports else ()
+        edges, closed = self._part(placement, ports=ports)
         return Parts(self._leave_all(placement), edges, closed)
 
     def _cancel(self, placement: Placement) -> None:
@@ -219,7 +214,7 @@ class Draft(State):
             # Another connection's batch goes on for that one, and what of it is unused by then is
             # closed (`returns_lost.txt`).
             if batch is not None and batch.user == placement.user:
-                self.actions.append(CancelBatch(number))
+                self.do(act.CancelBatch(number))
 
     def start_draining(
         self, connection: str, placement: Placement, lost: tuple[int, ...], *, ports: bool
@@ -233,31 +228,23 @@ class Draft(State):
         # use one meanwhile, that one goes on when this has drained.
         plan = DrainingPlan(connection, placement, lost)
         self.draining = self.draining.insert(placement.user, plan)
-        for number in placement.components.values():
-            record = self.components[number]
-            record = record._replace(draining=record.draining + 1)
-            self.components = self.components.insert(number, record)
-        edges = self._part_edges(placement)
-        closed = self._close_ports(placement) if ports else ()
-        return Parts(
-            tuple(
-                producer
-                for producer in _producers_first(placement)
-                if self.components[producer].only_drains
-            ),
-            edges,
-            closed,
-        )
+        self._count_draining(placement, 1)
+        edges, closed = self._part(placement, ports=ports)
+        left = (n for n in _producers_first(placement) if self.components[n].only_drains)
+        return Parts(tuple(left), edges, closed)
 
     def end_draining(self, user: str) -> tuple[DrainingPlan, Parts]:
         """Use the components of a plan no more, as nothing is under way; return those left."""
         ended = self.draining[user]
         self.draining = self.draining.remove(user)
-        for number in ended.placement.components.values():
-            record = self.components[number]
-            record = record._replace(draining=record.draining - 1)
-            self.components = self.components.insert(number, record)
+        self._count_draining(ended.placement, -1)
         return ended, Parts(self._leave_all(ended.placement))
+
+    def _count_draining(self, placement: Placement, more: int) -> None:
+        for number in placement.components.values():
+            record = self.components[number]
+            record = record._replace(draining=record.draining + more)
+            self.components = self.components.insert(number, record)
 
     def lose(self, lost: Iterable[int]) -> tuple[int, ...]:
         """Share components that died no more; return the edges that end with them."""
@@ -343,21 +330,13 @@ class Draft(State):
         batch = self.new_id()
         self.parts = self.parts.update(dict.fromkeys(parts, batch))
         self.batches = self.batches.insert(batch, Batch(placement.user, parts))
-        recalled = self._recalled_for(placement) if self.recalled else ()
-        self.actions.append(
-            Open(lane, batch, record.id, placement, parts, not move.rule.is_beside, recalled)
-        )
-
-    def _recalled_for(self, placement: Placement) -> tuple[int, ...]:
-        """Return what a plan uses that is to take commands again, once."""
-        found = tuple(id_ for id_ in placement.components.values() if id_ in self.recalled)
-        for number in found:
+        # What takes commands again is named to do so once.
+        used = placement.components.values() if self.recalled else ()
+        recalled = tuple(number for number in used if number in self.recalled)
+        for number in recalled:
             self.recalled = self.recalled.remove(number)
-        return found
-
-    def _has_open(self, part: Part) -> bool:
-        batch = self.parts.get(part)
-        return batch is not None and batch not in self.batches
+        is_receiving = not move.rule.is_beside
+        self.do(act.Open(lane, batch, record.id, placement, parts, is_receiving, recalled))
 
     def await_batches(self, record: ConnectionRecord, batches: Iterable[int]) -> None:
         """Have a connection looked at again when each of these batches is over."""
@@ -504,18 +483,22 @@ class Draft(State):
         self.edges = self.edges.insert(joined.id, changed)
         # Only for a change: thousands may join an edge that is checked already (`changing.txt`).
         if changed.strictest is not joined.strictest:
-            self.actions.append(SetCheck(joined.id))
+            self.do(act.SetCheck(joined.id))
 
-    def _part_edges(self, placement: Placement) -> tuple[int, ...]:
-        """Use the edges of a plan no more; return those that are open, and have no user now."""
+    def _part(
+        self, placement: Placement, *, ports: bool
+    ) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Use the edges of a plan no more, nor its ports where these end with it.
+
+        Returns:
+            Edges that are open and have no user now, and ports.
+        """
         # One that is being opened is in no list here: `settle` returns it when its batch is over.
         edges = [edge for edge in placement.edges if self._part_edge(edge, placement.user)]
-        return tuple(edge for edge in edges if self._close_part(Part(Kind.EDGE, edge)))
-
-    def _close_ports(self, placement: Placement) -> tuple[int, ...]:
-        for kind in PORTS:
+        edges = [edge for edge in edges if self._close_part(Part(Kind.EDGE, edge))]
+        for kind in PORTS if ports else ():
             self._close_part(Part(kind, placement.ports))
-        return (placement.ports,)
+        return tuple(edges), (placement.ports,) if ports else ()
 
     def _leave_all(self, placement: Placement) -> tuple[int, ...]:
         """Use the components of a plan no more; return those that have no user now."""
@@ -560,7 +543,8 @@ class Draft(State):
 
     def _close_part(self, part: Part) -> bool:
         """Forget a part that is open; one that is being opened is looked at when that is over."""
-        if not self._has_open(part):
+        batch = self.parts.get(part)
+        if batch is None or batch in self.batches:
             return False
         self.parts = self.parts.remove(part)
         return True

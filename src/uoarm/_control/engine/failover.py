@@ -7,23 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping
 
-from uoarm._control.engine.actions import (
-    Announce,
-    Close,
-    Drain,
-    FindReplacement,
-    Finish,
-    Forget,
-    HandOver,
-    Listen,
-    Publish,
-    RetireBridge,
-    Stop,
-    WakeAt,
-    Warn,
-)
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import Draft, InputInUseError
-from uoarm._control.engine.events import HealthReported, ReplacementSought
 from uoarm._control.engine.move import Move, MovePhase, MoveReason, forget_earlier
 from uoarm._control.engine.placement import ComponentRecord, Placement
 from uoarm._control.engine.state import ConnectionRecord, Preference, listed, oldest_first
@@ -108,8 +94,8 @@ def end(
         record, state=ConnectionState.CLOSING, cause=cause, current=placement, move=move
     )
     draft.actions += [
-        Publish(record),
-        Close(lane or f"{record.id}!", record.id, parts, placement, lost, ends=True),
+        act.Publish(record),
+        act.Close(lane or f"{record.id}!", record.id, parts, placement, lost, ends=True),
     ]
 
 
@@ -127,8 +113,8 @@ def drop_next(draft: Draft, record: ConnectionRecord) -> ConnectionRecord:
     parts = draft.unplace(placement, ports=placement.ports != ports)
     # It may have received from the next one already, which was opened for that.
     draft.actions += [
-        Listen(record.id, ports),
-        Close(f"{placement.user}!", record.id, parts, placement),
+        act.Listen(record.id, ports),
+        act.Close(f"{placement.user}!", record.id, parts, placement),
     ]
     return record
 
@@ -157,7 +143,7 @@ def cancel_switchover(draft: Draft, number: int, *, is_abandoned: bool = False) 
 def finish_if_asked(draft: Draft, record: ConnectionRecord) -> None:
     """Let what is under way arrive before a connection ends whose source has finished."""
     if record.finished:
-        draft.actions.append(Drain(f"{record.id}!drain", record.id, record.placement))
+        draft.do(act.Drain(f"{record.id}!drain", record.id, record.placement))
 
 
 def look_later(draft: Draft, record: ConnectionRecord) -> None:
@@ -166,18 +152,18 @@ def look_later(draft: Draft, record: ConnectionRecord) -> None:
     # Four looks within the time for which it must be there without a break.
     wait = max(_LEAST_LOOK_SECONDS, (draft.policy.return_after or 0.0) / 4)
     draft.put(record, preferred=record.preferred._replace(look_at=draft.now + wait))
-    draft.actions.append(WakeAt(draft.now + wait))
+    draft.do(act.WakeAt(draft.now + wait))
 
 
-def health_reported(draft: Draft, event: HealthReported) -> None:
+def health_reported(draft: Draft, event: ev.HealthReported) -> None:
     """Note the health of components; end what finished, replace what was lost."""
     concerned = _concerned(draft, event)
     is_lost = event.health is Health.LOST
     # Before anything is sought below: a search must ask anew, not use what was known before.
-    draft.actions.append(Forget(tuple(concerned)))
+    draft.do(act.Forget(tuple(concerned)))
     if event.component is None:
         subject = f"bridge {event.bridge}"
-        draft.actions.append(Announce(subject, event.health.value, event.cause))
+        draft.do(act.Announce(subject, event.health.value, event.cause))
     lost: list[int] = []
     for name in concerned:
         number = draft.serving.get(name)
@@ -199,12 +185,12 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
         _lose(draft, lost, frozenset(concerned), event)
     # After the edges were stopped, as its closing may bring last messages.
     if is_lost and event.component is None:
-        draft.actions.append(RetireBridge(event.bridge))
+        draft.do(act.RetireBridge(event.bridge))
     if event.health is Health.OK and not all(name in draft.serving for name in concerned):
         look_soon(draft)  # what is not open may be a candidate again
 
 
-def _concerned(draft: Draft, event: HealthReported) -> list[str]:
+def _concerned(draft: Draft, event: ev.HealthReported) -> list[str]:
     """Return the names of the components that a report is about."""
     # Candidates may be open that were discovered once and are seen no more.
     name = event.component
@@ -220,21 +206,21 @@ def _concerned(draft: Draft, event: HealthReported) -> list[str]:
     return [name for name, bridge in bridges.items() if bridge == event.bridge]
 
 
-def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
+def _judge_service(draft: Draft, name: str, event: ev.HealthReported) -> None:
     """Note that a service, of which nothing is open, raises or answers again."""
     subject = f"component {name}"
-    draft.actions.append(Announce(subject, event.health.value, event.cause, event.function))
+    draft.do(act.Announce(subject, event.health.value, event.cause, event.function))
     if event.health is Health.LOST:
         draft.avoided = forget_earlier(draft.avoided, draft.now).insert_last(name, draft.now)
     elif event.health is Health.OK:
         draft.avoided = draft.avoided.discard(name)
 
 
-def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> ComponentRecord:
+def _note(draft: Draft, record: ComponentRecord, event: ev.HealthReported) -> ComponentRecord:
     health = record.health.noted(event.part, event.health, event.cause)
     if health.is_news(record.health, event.health, event.cause):
         subject, function = f"component {record.name}", record.step.component.function
-        draft.actions.append(Announce(subject, health.health.value, health.cause, function))
+        draft.do(act.Announce(subject, health.health.value, health.cause, function))
     record = record._replace(health=health)
     draft.components = draft.components.insert(record.id, record)
     return record
@@ -263,7 +249,9 @@ def _finished_in(draft: Draft, placement: Placement) -> str:
     return ""
 
 
-def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: HealthReported) -> None:
+def _lose(
+    draft: Draft, lost: list[int], concerned: frozenset[str], event: ev.HealthReported
+) -> None:
     dead = [draft.components[number].name for number in lost]
     draft.failed = forget_earlier(draft.failed, draft.now)
     draft.avoided = forget_earlier(draft.avoided, draft.now)
@@ -275,33 +263,21 @@ def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: Healt
     if len(dead) > 1:
         were = f"components {listed(dead)} were"
     cause = f"{were} lost: {event.cause}"
-    replace(draft, death(draft.now, cause, lost, concerned, concerned))
+    replace(draft, death(draft, cause, lost)._replace(dead=concerned, excluded=concerned))
 
 
-def death(
-    since: float,
-    cause: str,
-    lost: Iterable[int],
-    dead: frozenset[str] = frozenset(),
-    excluded: frozenset[str] = frozenset(),
-) -> Move:
+def death(draft: Draft, cause: str, lost: Iterable[int]) -> Move:
     """Return the move that replaces what was lost."""
-    return Move(
-        MoveReason.DEATH,
-        MovePhase.SEEKING,
-        since,
-        cause,
-        lost=tuple(lost),
-        dead=dead,
-        excluded=excluded,
-    )
+    lost = tuple(lost)
+    dead = frozenset(draft.components[number].name for number in lost)
+    return Move(MoveReason.DEATH, MovePhase.SEEKING, draft.now, cause, lost=lost, dead=dead)
 
 
 def replace(draft: Draft, failure: Move) -> None:
     """Let no message through what was lost, and have the connections that use it do without."""
     # First all edges, then the connections: what one of them finds may not use another's dead.
     lost = {number: place for place, number in enumerate(failure.lost)}
-    draft.actions.append(Stop(draft.lose(failure.lost)))
+    draft.do(act.Stop(draft.lose(failure.lost)))
     for identity in draft.using(lost):
         # Read anew: what was done for one before may have changed it, as members of a switchover.
         record = draft.connections[identity]
@@ -341,13 +317,8 @@ def _lose_current(
     elif before is not None:
         # Its reason stays until it is known below whether the move can be left: a connection never
         # has a second one beside it.
-        move = before._replace(
-            since=failure.since,
-            cause=failure.cause,
-            lost=tuple(lost),
-            dead=failure.dead,
-            excluded=failure.excluded,
-        )
+        reason, phase, _, _, plan, group, *_ = before
+        move = move._replace(reason=reason, phase=phase, next=plan, group=group)
     record = draft.put(record, move=move)
     if record.state is ConnectionState.OPENING:
         # `replace_lost` follows: whether a source raises before the last part is open or after it
@@ -424,8 +395,8 @@ def seek_plan(draft: Draft, record: ConnectionRecord) -> None:
     runs = (
         () if move.rule.is_beside else [name for name, id_ in ids.items() if id_ not in move.lost]
     )
-    draft.actions.append(
-        FindReplacement(
+    draft.do(
+        act.FindReplacement(
             lane=f"switchover {move.group}" if move.group else f"{record.id}#{record.attempt}",
             connection=record.id,
             attempt=record.attempt,
@@ -439,7 +410,7 @@ def seek_plan(draft: Draft, record: ConnectionRecord) -> None:
     )
 
 
-def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> None:
+def found(draft: Draft, record: ConnectionRecord, event: ev.ReplacementSought) -> None:
     """Open what was found; without anything, wait for what died to come back, or end."""
     move = record.move
     if move is None or move.reason is not MoveReason.DEATH:
@@ -455,9 +426,9 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
             if draft.configurers:  # others move from what is in the way
                 retry_at = draft.now + _AGAIN_SECONDS
                 draft.put(record, move=move._replace(phase=MovePhase.WAITING, retry_at=retry_at))
-                draft.actions.append(WakeAt(retry_at))
+                draft.do(act.WakeAt(retry_at))
                 return
-            draft.actions.append(Warn(record.id, str(error)))
+            draft.do(act.Warn(record.id, str(error)))
             # What feeds the input now may well do: that one producer is all that cannot be used.
             _seek_without(draft, record, frozenset({error.producer}))
             return
@@ -481,7 +452,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     if runs:  # once, and not after each search
         draft.publish(record)
     function = record.placement.plan.function
-    draft.actions += [Forget(move.dead, function), WakeAt(retry_at)]
+    draft.actions += [act.Forget(move.dead, function), act.WakeAt(retry_at)]
 
 
 def look_again(draft: Draft, record: ConnectionRecord) -> None:
@@ -492,7 +463,7 @@ def look_again(draft: Draft, record: ConnectionRecord) -> None:
     if move.retry_at <= draft.now:
         seek(draft, record)
     else:
-        draft.actions.append(WakeAt(move.retry_at))
+        draft.do(act.WakeAt(move.retry_at))
 
 
 def look_soon(draft: Draft) -> None:
@@ -503,14 +474,14 @@ def look_soon(draft: Draft) -> None:
         move = record.move
         if move is not None and move.retry_at is not None and move.retry_at > soon:
             draft.put(record, move=move._replace(retry_at=soon))
-            draft.actions.append(WakeAt(soon))
+            draft.do(act.WakeAt(soon))
 
 
 def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
     """Do without a plan that could not be opened."""
     assert record.next is not None, "something could not be opened"
     unfit = _added(record, record.next.plan)
-    draft.actions.append(Warn(record.id, error))
+    draft.do(act.Warn(record.id, error))
     _seek_without(draft, drop_next(draft, record), unfit)
 
 
@@ -545,10 +516,10 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
     # was nothing else to receive. In a switchover it receives from the old one up to this moment.
     lane, is_receiving = f"{after.user}>", not rule.is_beside or before.ports == after.ports
     draft.actions += [
-        HandOver(
+        act.HandOver(
             lane, record.id, before, after, is_receiving, record, move.since, draft.now, cause
         ),
-        Publish(record),
+        act.Publish(record),
     ]
     if waited:
         draft.announce(record, record.state.value)
@@ -567,7 +538,7 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
     # In the lane of the handing over, and after it: nothing of the old plan is closed before the
     # application receives from the new one.
     parts = draft.start_draining(record.id, before, move.lost, ports=before.ports != after.ports)
-    draft.actions.append(Finish(lane, record.id, parts, before, move.lost))
+    draft.do(act.Finish(lane, record.id, parts, before, move.lost))
     if finished:
         finish_if_asked(draft, record)
     if preferred is not None:

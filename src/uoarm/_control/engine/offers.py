@@ -8,9 +8,9 @@ finished is closed and stays so: a source that ends is no failure, and is not pl
 from __future__ import annotations
 
 from uoarm._backoff import Backoff
-from uoarm._control.engine.actions import Announce, CloseOffer, OpenOffer, WakeAt, WakeOffers
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import Draft
-from uoarm._control.engine.events import OfferClosed, OfferOpened, OfferReported, OffersWanted
 from uoarm._control.engine.state import OfferRecord
 from uoarm.model import Health, OfferState
 
@@ -30,7 +30,7 @@ _LEAST_SECONDS = 0.1
 _LEAVING_SECONDS = 5.0
 
 
-def offers_wanted(draft: Draft, event: OffersWanted) -> None:
+def offers_wanted(draft: Draft, event: ev.OffersWanted) -> None:
     """Offer these, and close what is offered no more, or otherwise, before what is new opens."""
     wanted = frozenset(event.names)
     for _, record in sorted(draft.offers.items()):
@@ -42,10 +42,9 @@ def offers_wanted(draft: Draft, event: OffersWanted) -> None:
         if name not in draft.offers:
             _settle(draft, _begun(draft, name))
     retry_offers(draft)
-    draft.actions.append(WakeOffers())
 
 
-def offer_opened(draft: Draft, event: OfferOpened) -> None:
+def offer_opened(draft: Draft, event: ev.OfferOpened) -> None:
     """Note what became of an opening; what has ended meanwhile is closed again."""
     record = draft.offers.get(event.name)
     # Each opening has a number: one that ends after its offer has gone, and come anew, changes
@@ -61,10 +60,9 @@ def offer_opened(draft: Draft, event: OfferOpened) -> None:
     else:
         record = record._replace(is_open=True, state=OfferState.OPEN, cause="")
     _settle(draft, record)
-    draft.actions.append(WakeOffers())
 
 
-def offer_closed(draft: Draft, event: OfferClosed) -> None:
+def offer_closed(draft: Draft, event: ev.OfferClosed) -> None:
     """Note that what was open is closed; open it again, unless it has finished."""
     record = draft.offers.get(event.name)
     if record is None or record.number != event.number:
@@ -79,10 +77,9 @@ def offer_closed(draft: Draft, event: OfferClosed) -> None:
         failures = record.failures + 1 if lasted < _PAUSES.most else 0
         pause = _PAUSES.pause(failures - 1) if failures > 1 else 0.0
         _settle(draft, record._replace(failures=failures, retry_at=draft.now + pause))
-    draft.actions.append(WakeOffers())
 
 
-def offer_reported(draft: Draft, event: OfferReported) -> None:
+def offer_reported(draft: Draft, event: ev.OfferReported) -> None:
     """Note how the framework's side of an offer is, or what became of its connections."""
     record = draft.offers.get(event.name)
     # A report of what was open before says nothing of what is open now.
@@ -94,7 +91,7 @@ def offer_reported(draft: Draft, event: OfferReported) -> None:
         # The first report counts. While it opens, it is closed as soon as it has opened.
         _settle(draft, record._replace(ended=record.ended or (state, event.cause)))
         return
-    draft.actions.append(Announce(f"offer {record.name}", event.health.value, event.cause))
+    draft.do(act.Announce(f"offer {record.name}", event.health.value, event.cause))
     if record.state is OfferState.OPEN:
         cause = event.cause if event.health is Health.DEGRADED else ""
         draft.offers = draft.offers.insert(record.name, record._replace(cause=cause))
@@ -136,7 +133,7 @@ def _settle(draft: Draft, record: OfferRecord) -> None:
             record = record._replace(state=ended[0], cause=ended[1])
         if ended is not None or not record.is_wanted:
             record = record._replace(is_busy=True)
-            draft.actions.append(CloseOffer(f"offer {record.name}", record.name, record.number))
+            draft.do(act.CloseOffer(f"offer {record.name}", record.name, record.number))
     elif not record.is_wanted:
         _leave(draft, record)
         return
@@ -145,9 +142,9 @@ def _settle(draft: Draft, record: OfferRecord) -> None:
         record = record._replace(
             number=draft.new_id(), is_busy=True, begun=draft.now, ended=None, retry_at=None
         )
-        draft.actions.append(OpenOffer(f"offer {record.name}", record.name, record.number))
+        draft.do(act.OpenOffer(f"offer {record.name}", record.name, record.number))
     elif record.retry_at is not None:
-        draft.actions.append(WakeAt(record.retry_at))
+        draft.do(act.WakeAt(record.retry_at))
     _keep(draft, record)
 
 
@@ -156,7 +153,7 @@ def _leave(draft: Draft, record: OfferRecord) -> None:
     draft.offers = draft.offers.discard(record.name)
     draft.due = draft.due.discard(record.name)
     draft.leaving = draft.leaving.discard(record.name)
-    draft.actions.append(Announce(f"offer {record.name}", OfferState.CLOSED.value))
+    draft.do(act.Announce(f"offer {record.name}", OfferState.CLOSED.value))
     if record.is_renewed:
         _settle(draft, _begun(draft, record.name))
     if not draft.leaving:
@@ -174,4 +171,4 @@ def _keep(draft: Draft, record: OfferRecord) -> None:
     if not record.is_wanted:
         draft.leaving = draft.leaving.insert(record.name)
     if record.shown != before.shown:
-        draft.actions.append(Announce(f"offer {record.name}", *record.shown))
+        draft.do(act.Announce(f"offer {record.name}", *record.shown))

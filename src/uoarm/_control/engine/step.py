@@ -15,31 +15,10 @@ from typing import Any, NamedTuple
 
 from rpds import HashTrieSet
 
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
 from uoarm._control.engine import failover, offers, switchover
-from uoarm._control.engine.actions import Action, Announce, Close, Forget, Publish, Reply
 from uoarm._control.engine.draft import Draft, InputInUseError, by_age, connection_of
-from uoarm._control.engine.events import (
-    CandidatesChanged,
-    Configured,
-    Drained,
-    Ended,
-    Event,
-    HealthReported,
-    InputsSwitched,
-    Killed,
-    OfferClosed,
-    OfferOpened,
-    OfferReported,
-    OffersWanted,
-    Opened,
-    PreferredChecked,
-    RanOut,
-    ReplacementSought,
-    Requested,
-    Resolved,
-    Stopped,
-    TimeReached,
-)
 from uoarm._control.engine.failover import end, finish_if_asked
 from uoarm._control.engine.move import RULES, Move, MovePhase, MoveReason, OnOpenFailure
 from uoarm._control.engine.placement import Kind, Part, Placement
@@ -125,7 +104,7 @@ def _missing(state: State, parts: tuple[Part, ...]) -> tuple[tuple[Part, ...], t
     )
 
 
-def step(state: State, event: Event, now: float) -> tuple[State, tuple[Action, ...]]:
+def step(state: State, event: ev.Event, now: float) -> tuple[State, tuple[act.Action, ...]]:
     """Return the state after an event, and the actions that follow from it.
 
     Args:
@@ -164,9 +143,9 @@ def _proceed(draft: Draft) -> None:
             failover.hand_over(draft, record)
 
 
-def _requested(draft: Draft, event: Requested) -> None:
+def _requested(draft: Draft, event: ev.Requested) -> None:
     if draft.is_closing:
-        draft.actions.append(Reply(event.waiter, ConnectionClosedError(_CLOSED)))
+        draft.do(act.Reply(event.waiter, ConnectionClosedError(_CLOSED)))
         return
     draft.requests += 1
     record = ConnectionRecord(
@@ -193,7 +172,7 @@ def _request(draft: Draft, phase: MovePhase, placement: Placement | None = None)
     return Move(MoveReason.REQUEST, phase, draft.now, next=placement)
 
 
-def _resolved(draft: Draft, event: Resolved) -> None:
+def _resolved(draft: Draft, event: ev.Resolved) -> None:
     # The request was given up meanwhile, or has a plan: this is the answer of a search before.
     record = draft.connections.get(event.connection)
     if record is None or record.has_plan:
@@ -206,7 +185,7 @@ def _resolved(draft: Draft, event: Resolved) -> None:
         _begin(draft, record, event.plan)
 
 
-def _is_outdated(draft: Draft, event: Requested | Resolved) -> bool:
+def _is_outdated(draft: Draft, event: ev.Requested | ev.Resolved) -> bool:
     """Say whether the configuration changed meanwhile, or a candidate that was found."""
     return event.revision != draft.revision or (
         event.plan is not None and draft.is_outdated(event.plan, event.candidates)
@@ -245,7 +224,7 @@ def _refuse(draft: Draft, record: ConnectionRecord, error: BaseException | None)
     """Answer a request of which nothing was opened."""
     # No end to be waited for, and nothing was published: the record just goes.
     draft.remove(record)
-    draft.actions.append(Reply(record.waiter, error))
+    draft.do(act.Reply(record.waiter, error))
 
 
 def _output(plan: Plan, wanted: PortRef) -> str | None:
@@ -267,14 +246,14 @@ def _run(draft: Draft, record: ConnectionRecord) -> None:
     record = draft.put(
         record, state=ConnectionState.RUNNING, waiter="", current=record.next, move=None
     )
-    draft.actions.append(Publish(record))
+    draft.do(act.Publish(record))
     draft.announce(record, RULES[MoveReason.REQUEST].announced)
-    draft.actions.append(Reply(waiter))
+    draft.do(act.Reply(waiter))
     finish_if_asked(draft, record)
     failover.replace_lost(draft, record, move)
 
 
-def _opened(draft: Draft, event: Opened) -> None:
+def _opened(draft: Draft, event: ev.Opened) -> None:
     batch = draft.batches[event.batch]
     # From here on its parts count as open; those that were not done are taken out by `settle`.
     draft.batches = draft.batches.remove(event.batch)
@@ -282,7 +261,7 @@ def _opened(draft: Draft, event: Opened) -> None:
     connection = connection_of(batch.user)
     if late:
         # With the connection that they were opened for: messages may have been lost in them.
-        draft.actions.append(Close(f"late {event.batch}", connection, late))
+        draft.do(act.Close(f"late {event.batch}", connection, late))
     record = draft.connections.get(connection)
     if event.error is not None and record is not None:
         _failed_to_open(draft, record, batch.user, event.error)
@@ -301,7 +280,7 @@ def _failed_to_open(
         return
     match move.rule.failing:
         case OnOpenFailure.ENDS:
-            draft.actions.append(Forget(record.placement.plan.names))
+            draft.do(act.Forget(record.placement.plan.names))
             if move.lost:  # which is why, whatever the opening says of it
                 failover.fail_to_open(draft, record, record.waiter)
             else:
@@ -316,40 +295,40 @@ def _failed_to_open(
             pass
 
 
-def _killed(draft: Draft, event: Killed) -> None:
+def _killed(draft: Draft, event: ev.Killed) -> None:
     # Idempotent: what has ended, or is ending, is answered at once. The caller of the first kill
     # closes; a second one does not wait for it.
     record = draft.connections.get(event.connection)
     if record is None or not record.has_plan:
         if record is not None:
             _refuse(draft, record, ConnectionClosedError(event.cause or "the request was given up"))
-        draft.actions.append(Reply(event.waiter))
+        draft.do(act.Reply(event.waiter))
         return
     if record.state is ConnectionState.CLOSING:
-        draft.actions.append(Reply(event.waiter))
+        draft.do(act.Reply(event.waiter))
         return
     # A request that is given up while parts open for it: what opens late comes back as `Opened` and
     # is closed.
     outcome = ConnectionState.FAILED if event.is_failure else ConnectionState.CLOSED
     if event.is_failure:
-        draft.actions.append(Forget(record.placement.plan.names))
+        draft.do(act.Forget(record.placement.plan.names))
     end(draft, record, outcome, event.cause, event.waiter, killer=event.waiter)
 
 
-def _drained(draft: Draft, event: Drained) -> None:
+def _drained(draft: Draft, event: ev.Drained) -> None:
     record = draft.connections.get(event.connection)
     if record is not None and record.finished:
         end(draft, record, ConnectionState.CLOSED, record.finished)
 
 
-def _ran_out(draft: Draft, event: RanOut) -> None:
+def _ran_out(draft: Draft, event: ev.RanOut) -> None:
     # Only now it is known which of its components another plan uses by this time.
     ended, parts = draft.end_draining(event.user)
     lane = f"ran out {event.user}"
-    draft.actions.append(Close(lane, ended.connection, parts, ended.placement, ended.lost))
+    draft.do(act.Close(lane, ended.connection, parts, ended.placement, ended.lost))
 
 
-def _ended(draft: Draft, event: Ended) -> None:
+def _ended(draft: Draft, event: ev.Ended) -> None:
     # In no list any more when the caller's thread goes on, and published before that.
     record = draft.connections[event.connection]
     draft.remove(record)
@@ -362,12 +341,12 @@ def _ended(draft: Draft, event: Ended) -> None:
         error = ConnectionClosedError(f"{text}: {record.cause or 'kill'}")
     record = record._replace(state=move.outcome)
     draft.publish(record)
-    draft.actions += [Reply(record.waiter, error)] if record.waiter else []
-    draft.actions += [Reply(move.killer)] if move.killer else []
+    draft.actions += [act.Reply(record.waiter, error)] if record.waiter else []
+    draft.actions += [act.Reply(move.killer)] if move.killer else []
     _reply_when_closed(draft)
 
 
-def _stopped(draft: Draft, event: Stopped) -> None:
+def _stopped(draft: Draft, event: ev.Stopped) -> None:
     # First, so that nothing that is asked from here on begins anew.
     draft.is_closing, draft.closers = True, (*draft.closers, event.waiter)
     for item in oldest_first(draft.connections.values()):
@@ -382,19 +361,19 @@ def _stopped(draft: Draft, event: Stopped) -> None:
 
 def _reply_when_closed(draft: Draft) -> None:
     if not draft.connections:
-        draft.actions += map(Reply, draft.closers)
+        draft.actions += map(act.Reply, draft.closers)
         draft.closers = ()
 
 
-def _health_reported(draft: Draft, event: HealthReported) -> None:
+def _health_reported(draft: Draft, event: ev.HealthReported) -> None:
     failover.health_reported(draft, event)
     # What an offer failed for may be well now, and mostly is this.
-    is_news = any(isinstance(action, Announce) for action in draft.actions)
+    is_news = any(isinstance(action, act.Announce) for action in draft.actions)
     if event.health is Health.OK and is_news:
         offers.retry_offers(draft)
 
 
-def _time_reached(draft: Draft, event: TimeReached) -> None:
+def _time_reached(draft: Draft, event: ev.TimeReached) -> None:
     # The timer keeps one time only, the earliest. So all that waits is looked at; each says anew
     # when it is due where that is not yet, and times that lie close together are one event.
     del event
@@ -404,7 +383,7 @@ def _time_reached(draft: Draft, event: TimeReached) -> None:
     offers.settle_offers(draft)
 
 
-def _replacement_sought(draft: Draft, event: ReplacementSought) -> None:
+def _replacement_sought(draft: Draft, event: ev.ReplacementSought) -> None:
     # A death, a kill or a change since the search began has begun another, or none.
     record = draft.connections.get(event.connection)
     if record is None or record.attempt != event.attempt or not record.is_active:
@@ -416,23 +395,23 @@ def _replacement_sought(draft: Draft, event: ReplacementSought) -> None:
 
 
 _HANDLERS: dict[type[Any], Callable[[Draft, Any], None]] = {
-    Requested: _requested,
-    Resolved: _resolved,
-    Killed: _killed,
-    Opened: _opened,
-    HealthReported: _health_reported,
-    Drained: _drained,
-    RanOut: _ran_out,
-    Ended: _ended,
-    ReplacementSought: _replacement_sought,
-    PreferredChecked: switchover.preferred_checked,
-    InputsSwitched: switchover.inputs_switched,
-    OffersWanted: offers.offers_wanted,
-    OfferOpened: offers.offer_opened,
-    OfferClosed: offers.offer_closed,
-    OfferReported: offers.offer_reported,
-    TimeReached: _time_reached,
-    Stopped: _stopped,
-    Configured: switchover.configured,
-    CandidatesChanged: switchover.candidates_changed,
+    ev.Requested: _requested,
+    ev.Resolved: _resolved,
+    ev.Killed: _killed,
+    ev.Opened: _opened,
+    ev.HealthReported: _health_reported,
+    ev.Drained: _drained,
+    ev.RanOut: _ran_out,
+    ev.Ended: _ended,
+    ev.ReplacementSought: _replacement_sought,
+    ev.PreferredChecked: switchover.preferred_checked,
+    ev.InputsSwitched: switchover.inputs_switched,
+    ev.OffersWanted: offers.offers_wanted,
+    ev.OfferOpened: offers.offer_opened,
+    ev.OfferClosed: offers.offer_closed,
+    ev.OfferReported: offers.offer_reported,
+    ev.TimeReached: _time_reached,
+    ev.Stopped: _stopped,
+    ev.Configured: switchover.configured,
+    ev.CandidatesChanged: switchover.candidates_changed,
 }

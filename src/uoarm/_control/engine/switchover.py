@@ -13,24 +13,9 @@ from collections.abc import Sequence
 from attrs import evolve
 from rpds import HashTrieMap, HashTrieSet
 
-from uoarm._control.engine.actions import (
-    Adopt,
-    Announce,
-    CheckPreferred,
-    Release,
-    Reply,
-    SwitchInputs,
-    WakeAt,
-    Warn,
-)
+from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import Draft, connection_of
-from uoarm._control.engine.events import (
-    CandidatesChanged,
-    Configured,
-    InputsSwitched,
-    PreferredChecked,
-    ReplacementSought,
-)
 from uoarm._control.engine.failover import (
     cancel_switchover,
     death,
@@ -87,7 +72,7 @@ def begin(draft: Draft, records: Sequence[ConnectionRecord], reason: MoveReason)
     seek_plan(draft, first)
 
 
-def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> None:
+def found(draft: Draft, record: ConnectionRecord, event: ev.ReplacementSought) -> None:
     """Note the better plan of a member; open all when each has one."""
     # Cancelled meanwhile, or this one was moved into another group.
     group = draft.switchovers.get(event.switchover)
@@ -106,8 +91,8 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
             # An edge that it uses has a user now that is no member: none counts as known any more.
             joined = HashTrieMap()
             draft.put(record, move=None)
-        if event.plan is None and not _is_superseded(draft, record):
-            draft.actions.append(Warn(record.id, f"stays where it is: {event.error}"))
+        if event.plan is None and not _superseded(draft, record):
+            draft.do(act.Warn(record.id, f"stays where it is: {event.error}"))
     elif event.plan is None or event.plan.names == record.placement.plan.names:
         abandon(draft, group, event.error or "its preferred components are gone again")
         return
@@ -184,10 +169,10 @@ def arrive(draft: Draft, record: ConnectionRecord, *, is_last: bool) -> None:
         assert record.move is not None, "a member moves"
         draft.put(record, move=record.move._replace(phase=MovePhase.SWITCHING))
     _put(draft, evolve(group, is_switching=True))
-    draft.actions.append(SwitchInputs(f"switchover {group.id}", group.id, pairs))
+    draft.do(act.SwitchInputs(f"switchover {group.id}", group.id, pairs))
 
 
-def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
+def inputs_switched(draft: Draft, event: ev.InputsSwitched) -> None:
     """Let the better plans be the ones that run; where that failed, look for any plan."""
     group = draft.switchovers[event.switchover]
     draft.switchovers = draft.switchovers.remove(event.switchover)
@@ -213,11 +198,10 @@ def inputs_switched(draft: Draft, event: InputsSwitched) -> None:
         record = draft.connections[identity]
         # Deaths that came while the inputs changed hands were left for this moment.
         ids = set(record.placement.components.values())
-        if any(draft.components[id_].is_lost for id_ in ids):
-            lost = tuple(id_ for id_ in ids if draft.components[id_].is_lost)
-            dead = frozenset(draft.components[number].name for number in lost)
+        if lost := tuple(id_ for id_ in ids if draft.components[id_].is_lost):
             cause = "its preferred components were lost again"
-            seek(draft, draft.put(record, move=death(draft.now, cause, lost, dead, dead)))
+            failure = death(draft, cause, lost)
+            seek(draft, draft.put(record, move=failure._replace(excluded=failure.dead)))
 
 
 def _put(draft: Draft, group: Switchover) -> Switchover:
@@ -234,9 +218,9 @@ def abandon(draft: Draft, group: Switchover, error: str) -> None:
     """Leave all where they are."""
     first = next(iter(group.members))
     # Of what the configuration has no more nothing stays: it is closed, and replaced where it can.
-    goes = _is_superseded(draft, draft.connections[first])
+    goes = _superseded(draft, draft.connections[first])
     stays = "cannot move beside what it has" if goes else "stays where it is"
-    draft.actions.append(Warn(first, f"{stays}: {error}"))
+    draft.do(act.Warn(first, f"{stays}: {error}"))
     cancel_switchover(draft, group.id, is_abandoned=True)
 
 
@@ -266,14 +250,7 @@ def _joining_with(draft: Draft, identity: str) -> tuple[str, ...]:
 
 def _serves(draft: Draft, record: ConnectionRecord, plan: Plan) -> bool:
     """Say whether the plan that runs is the one that was found, and all of it may stay."""
-    is_same = plan.names == record.placement.plan.names
-    return is_same and not _is_superseded(draft, record)
-
-
-def _is_superseded(draft: Draft, record: ConnectionRecord) -> bool:
-    """Say whether the plan that runs uses what the configuration has no more, or otherwise."""
-    running = record.placement.components.values()
-    return any(draft.components[number].is_superseded for number in running)
+    return plan.names == record.placement.plan.names and not _superseded(draft, record)
 
 
 def may_move(record: ConnectionRecord) -> bool:
@@ -287,7 +264,7 @@ def look_for_preferred(draft: Draft, record: ConnectionRecord) -> None:
     if preferred is None or preferred.look_at is None or preferred.is_looking:
         return
     if preferred.look_at > draft.now:
-        draft.actions.append(WakeAt(preferred.look_at))
+        draft.do(act.WakeAt(preferred.look_at))
         return
     if not may_move(record):
         look_later(draft, record)
@@ -295,10 +272,10 @@ def look_for_preferred(draft: Draft, record: ConnectionRecord) -> None:
     # One look at a time: a bridge that hangs in it holds up no other connection's.
     draft.put(record, preferred=preferred._replace(is_looking=True, look_at=None))
     lane = f"{record.id}?"
-    draft.actions.append(CheckPreferred(lane, record.id, preferred.plan, draft.avoided_lately()))
+    draft.do(act.CheckPreferred(lane, record.id, preferred.plan, draft.avoided_lately()))
 
 
-def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
+def preferred_checked(draft: Draft, event: ev.PreferredChecked) -> None:
     """Return when the preferred plan was available for long enough without a break."""
     record = draft.connections.get(event.connection)
     if record is None or record.preferred is None:
@@ -318,7 +295,7 @@ def preferred_checked(draft: Draft, event: PreferredChecked) -> None:
     begin(draft, [record], MoveReason.RETURN)
 
 
-def configured(draft: Draft, event: Configured) -> None:
+def configured(draft: Draft, event: ev.Configured) -> None:
     """Take a configuration over, and have every connection that it concerns look for its plan."""
     draft.revision, draft.policy, draft.bridges = event.revision, event.policy, event.bridges
     draft.candidates, draft.replaced = 0, ()
@@ -329,8 +306,8 @@ def configured(draft: Draft, event: Configured) -> None:
         draft.failed = draft.failed.discard(name)
         draft.avoided = draft.avoided.discard(name)
     # Before the searches that follow, which are to be made in this revision.
-    report = Announce("configuration", f"revision {event.revision}")
-    draft.actions += [Adopt(event.revision), report]
+    report = act.Announce("configuration", f"revision {event.revision}")
+    draft.actions += [act.Adopt(event.revision), report]
     for item in oldest_first(draft.connections.values()):
         record = draft.connections[item.id]
         if not record.has_plan or record.state is ConnectionState.CLOSING:
@@ -339,7 +316,7 @@ def configured(draft: Draft, event: Configured) -> None:
             _outdate(draft, record)
 
 
-def candidates_changed(draft: Draft, event: CandidatesChanged) -> None:
+def candidates_changed(draft: Draft, event: ev.CandidatesChanged) -> None:
     """Know the bridges of the components that plans may have from now on.
 
     A connection that waits for a candidate looks again, and one that runs goes back to a better
@@ -352,7 +329,7 @@ def candidates_changed(draft: Draft, event: CandidatesChanged) -> None:
     draft.replaced = (*draft.replaced, event.superseded)[-_KNOWN_CHANGES:]
     seek_outdated(draft)
     look_soon(draft)
-    draft.actions.append(Announce("candidates", "changed", event.summary))
+    draft.do(act.Announce("candidates", "changed", event.summary))
 
 
 def _outdate(draft: Draft, record: ConnectionRecord) -> None:
@@ -403,7 +380,7 @@ def continue_reconfiguration(draft: Draft) -> None:
             and move.phase is MovePhase.WAITING
         ):
             draft.resolve(draft.put(record, move=move._replace(phase=MovePhase.SEEKING)))
-    draft.actions += map(Reply, draft.configurers)
+    draft.actions += map(act.Reply, draft.configurers)
     draft.configurers = ()
 
 
@@ -424,11 +401,10 @@ def _replace_what_is_left(draft: Draft) -> None:
             rest = _superseded(draft, record)
             left.update(rest)
             if rest:
-                draft.actions.append(Release(f"{record.id}#{record.attempt + 1}", rest))
-    lost = tuple(sorted(left))
-    if lost:
-        dead = frozenset(draft.components[number].name for number in lost)
-        replace(draft, death(draft.now, _cause(draft, dead), lost, dead))
+                draft.do(act.Release(f"{record.id}#{record.attempt + 1}", rest))
+    if left:
+        names = frozenset(draft.components[number].name for number in left)
+        replace(draft, death(draft, _cause(draft, names), sorted(left)))
 
 
 def _cause(draft: Draft, superseded: frozenset[str]) -> str:

@@ -350,7 +350,10 @@ class Driver:
             _log.exception("the control plane failed at %r", event)
             return
         # Before the actions: a thread that an action wakes finds the state from which it follows.
-        self.state = self.live.state = state
+        before, self.state = self.state, state
+        self.live.state = state
+        if state.offers is not before.offers:
+            self.offers.wake()
         # A thread that hangs in a batch still asks whether it was cancelled.
         if isinstance(event, ev.Opened) and not isinstance(event.error, BridgeTimeoutError):
             self._cancelled.discard(event.batch)
@@ -411,8 +414,6 @@ class Driver:
                 self._call(action, partial(self.offers.open, action))
             case act.CloseOffer():
                 self._call(action, partial(self.offers.close_offer, action))
-            case act.WakeOffers():
-                self.offers.wake()
             case act.Listen():
                 self.live.listen(action.connection, action.ports)
             case act.Stop():

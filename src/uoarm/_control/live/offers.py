@@ -77,7 +77,7 @@ class Offers:
         # at every offer after each event of a connection would be quadratic.
         self._behind: dict[str, str] = {}
         self._working: set[int] = set()  # threads
-        # Guards nothing: what is waited for is in the state, which is set before `WakeOffers`.
+        # Guards nothing: what is waited for is in the state, which is set before `wake`.
         self._changed = threading.Condition()
 
     def begin(self, timeout: float) -> tuple[OfferStatus, ...]:

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from attrs import define
 
-from uoarm._control.engine.actions import Finish, Open
+from uoarm._control.engine import actions as act
 from uoarm._control.engine.draft import by_age, connection_of
 from uoarm._control.engine.placement import (
     PORTS,
@@ -235,13 +235,13 @@ class LiveParts:
         _taken(self.components, parts.components)
         return ending
 
-    def take_draining(self, action: Finish) -> Ending:
+    def take_draining(self, action: act.Finish) -> Ending:
         """Return the objects of a plan that drains; its components are still there for others."""
         ending = self._ending_of(action.connection, action.parts, action.placement, action.lost)
         self._draining[action.placement.user] = ending
         return ending
 
-    def is_quick(self, action: Open) -> bool:
+    def is_quick(self, action: act.Open) -> bool:
         """Say whether parts open at once, as none needs a call into a bridge that may hang.
 
         Bridges are asked: not for the thread that owns the state.
@@ -264,7 +264,7 @@ class LiveParts:
             and all(bridge.is_quick(port.endpoint) for port in component.ports)
         )
 
-    def open(self, action: Open, state: State, done: list[Part], cancelled: set[int]) -> None:
+    def open(self, action: act.Open, state: State, done: list[Part], cancelled: set[int]) -> None:
         """Open parts in their order.
 
         Args:
@@ -386,7 +386,7 @@ class LiveParts:
             runtime=self.runtimes.get(connection),
         )
 
-    def _replaced_by(self, action: Open) -> list[LiveComponent]:
+    def _replaced_by(self, action: act.Open) -> list[LiveComponent]:
         """Return the components of a connection's running plan, where another is being opened."""
         runtime = self.runtimes.get(action.connection)
         record = None if runtime is None else runtime.record
@@ -450,19 +450,19 @@ class LiveParts:
         record = self.state.edges.get(edge)
         return ValidationMode.OFF if record is None else record.strictest
 
-    def _receive(self, action: Open) -> None:
+    def _receive(self, action: act.Open) -> None:
         runtime, ports = self._ports_of(action)
         # Before it is attached: a message that comes at once would be dropped as `replaced`.
         if action.is_receiving:
             runtime.receiver.deliver_from(ports.route, ports.outlet)
         ports.attach()  # an output that retains a message gives it at once
 
-    def _send(self, action: Open) -> None:
+    def _send(self, action: act.Open) -> None:
         runtime, ports = self._ports_of(action)
         assert runtime.record is not None, "published when its plan was known"
         ports.feed(runtime.id, runtime.record.validate, self._clock)
 
-    def _ports_of(self, action: Open) -> tuple[ConnectionRuntime, ApplicationPorts]:
+    def _ports_of(self, action: act.Open) -> tuple[ConnectionRuntime, ApplicationPorts]:
         runtime = self.runtimes[action.connection]
         number = action.placement.ports
         ports = self.ports.get(number)
