@@ -259,13 +259,13 @@ class Services:
         """Take in that a service replied."""
         if component.name in self._gone:
             self._gone.discard(component.name)
-            self._driver.judge_service(component, Health.OK, "it is there again")
+            self._driver.judge(component, Health.OK, "it is there again")
         found = self._watches.get(component.name)
         if found is None:
             return
         if found[1].health is Health.LOST:
             self._begin(component)
-            self._driver.judge_service(component, Health.OK, "it answers again")
+            self._driver.judge(component, Health.OK, "it answers again")
         elif found[1].is_alert:
             found[1].took()
 
@@ -275,7 +275,7 @@ class Services:
             # Nothing of a service is open, so that a bridge may not notice that it went.
             if component.name not in self._gone or not self._is_avoided(component):
                 self._gone.add(component.name)
-                self._driver.judge_service(component, Health.LOST, str(error))
+                self._driver.judge(component, Health.LOST, str(error))
             return
         if not is_raised(error):
             return
@@ -295,7 +295,7 @@ class Services:
             component.name,
             self._driver.state.policy.failing,
             self._clock,
-            partial(self._driver.judge_service, component),
+            partial(self._driver.judge, component),
         )
         with self._lock:
             before = self._watches.get(component.name)

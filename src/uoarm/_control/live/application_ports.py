@@ -181,7 +181,7 @@ class Sender:
         mode = ValidationMode.OFF if validate is ValidationMode.OFF else ValidationMode.ALWAYS
         self._check = make_check(live.structures[f"input.{name}"], mode, place)
         queue = port.queue or default_queue
-        watch = live.watch(name)
+        watch = live.watches[name]
         self.route = Route(user, place, send, clock=clock, queue=queue, watch=watch)
 
     def send(

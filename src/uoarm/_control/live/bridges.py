@@ -27,7 +27,7 @@ from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening, Options, St
 if TYPE_CHECKING:
     from uoarm._host.machines import MachineRegistry
 
-__all__ = ["BridgeSet", "Restarts", "StagedBridges", "facts_of", "start_hosted"]
+__all__ = ["BridgeSet", "Restarts", "StagedBridges", "close_logged", "facts_of", "start_hosted"]
 
 # Between two restarts of a bridge that died more than once; the first restart is free.
 _RESTARTS = Backoff(first=0.25, most=30.0)
@@ -252,10 +252,7 @@ class BridgeSet:
 
         def close() -> None:
             for bridge in dead:
-                try:
-                    bridge.close()
-                except BridgeError as error:
-                    _log.warning("%s", error)
+                close_logged(bridge.close)
             with self._lock:
                 self._retiring.discard(thread)
 
@@ -441,11 +438,16 @@ class StagedBridges:
         """Close what was started for a configuration that is not taken. Failures are logged."""
         while self.made:
             _, bridge = self.made.popitem()
-            try:
-                bridge.close()
-            except BridgeError as error:
-                _log.warning("%s", error)
+            close_logged(bridge.close)
         self._running.machines.discard(self.joining)
+
+
+def close_logged(close: Callable[[], object]) -> None:
+    """Call the close of a bridge or a channel; what fails is logged."""
+    try:
+        close()
+    except BridgeError as error:
+        _log.warning("%s", error)
 
 
 def facts_of(source: Bridge | Channel) -> tuple[tuple[str, object], ...]:

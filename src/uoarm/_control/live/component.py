@@ -12,7 +12,7 @@ from typing import Any
 from attrs import define, evolve, field
 
 from uoarm._adapt import transfer
-from uoarm._control.live.bridges import facts_of
+from uoarm._control.live.bridges import close_logged, facts_of
 from uoarm._dataplane import (
     Clock,
     FailureWatch,
@@ -72,6 +72,7 @@ class LiveComponent:
 
     Attributes:
         leases: of the inputs that one sender at a time may command, by name.
+        watches: of the inputs, to which routes into them report what became of messages.
     """
 
     def __init__(
@@ -96,13 +97,13 @@ class LiveComponent:
         self.outlets: dict[str, Outlet] = {}
         self.leases: dict[str, InputLease] = {}
         self._output_watches: dict[str, OutputWatch] = {}
-        self._watches: dict[str, InputWatch] = {}
+        self.watches: dict[str, InputWatch] = {}
         for output in self.component.outputs:
             watch = self._output_watches[output.name] = OutputWatch(failures, output.name)
             self.outlets[output.name] = Outlet(watch)
         for input_ in self.component.inputs:
             name, policy = input_.name, input_.endpoint.command
-            self._watches[name] = InputWatch(failures, name)
+            self.watches[name] = InputWatch(failures, name)
             if policy is not None and policy.lease is not None:
                 place = f"{self.component.name}.{name}"
                 self.leases[name] = InputLease(policy.lease, place, announce)
@@ -204,7 +205,7 @@ class LiveComponent:
                     timeout=_OPEN_SECONDS,
                 )
                 self._emergency_stop.enter(sink, self.component.function)
-                watch = self._watches[name]
+                watch = self.watches[name]
                 watch.is_later = sink.watch(watch.reported)
             sink = self._sinks[name]
             turn = self._turns.setdefault(name, threading.Lock())
@@ -303,10 +304,6 @@ class LiveComponent:
         sink = self._sinks.get(name)
         return None if sink is None else sink.halt(timeout)
 
-    def watch(self, name: str) -> InputWatch:
-        """Return what the routes into an input report to what became of messages."""
-        return self._watches[name]
-
     def check(
         self,
         output: str,
@@ -388,10 +385,7 @@ class LiveComponent:
         for channels in (self._sinks, self._sources):
             while channels:
                 name, channel = next(iter(channels.items()))
-                try:
-                    channel.close(timeout=_CLOSE_SECONDS)
-                except BridgeError as error:
-                    _log.warning("%s", error)
+                close_logged(partial(channel.close, timeout=_CLOSE_SECONDS))
                 # Not before: what comes in its place asks here whether it has stopped.
                 del channels[name]
                 self._closed.append(channel)
@@ -523,7 +517,7 @@ class LiveEdge:
         """Return what the status map shows; None while the edge is being opened."""
         if self.route is not None:
             status = self.route.status()
-            later = self.consumer.watch(self.edge.input).refusal
+            later = self.consumer.watches[self.edge.input].refusal
             return evolve(status, refusal=later) if later and not status.refusal else status
         if self.link is None:
             return None
@@ -539,14 +533,11 @@ class LiveEdge:
     def close(self) -> None:
         """Close it, also for the second time."""
         if self.route is not None:
-            self.consumer.watch(self.edge.input).suspect.pop(self, None)
+            self.consumer.watches[self.edge.input].suspect.pop(self, None)
             self.producer.outlets[self.edge.output].detach(self.route)
             self.route.close()
         if self.link is not None:
-            try:
-                self.link.close()
-            except BridgeError as error:
-                _log.warning("%s", error)
+            close_logged(self.link.close)
 
     @property
     def _is_native(self) -> bool:
@@ -591,9 +582,9 @@ class LiveEdge:
             clock=clock,
             transfer=transfer(self.edge),
             queue=queue,
-            watch=self.consumer.watch(self.edge.input),
+            watch=self.consumer.watches[self.edge.input],
         )
         route.judge = self._judge
-        suspect = self.consumer.watch(self.edge.input).suspect
+        suspect = self.consumer.watches[self.edge.input].suspect
         suspect[self] = partial(self.renew_check, is_suspected=True)
         self.producer.outlets[self.edge.output].attach(route)

@@ -27,7 +27,6 @@ from uoarm._control.engine.placement import Part
 from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
 from uoarm._control.live.bridges import BridgeSet
-from uoarm._control.live.component import LiveEdge
 from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDelivery, record_takeover
 from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts
@@ -88,7 +87,7 @@ class Driver:
         robot = revisions.current.robot
         self.state = State(robot.failover, _bridges_of(robot.components()))
         self.offers = Offers(self, revisions, functions, bridges, events, clock)
-        self.live = LiveParts(self.state, bridges, clock, self._judged, emergency_stop, events.post)
+        self.live = LiveParts(self, bridges, clock, self._judged, emergency_stop, events.post)
         self.deaths: dict[str, int] = {}
         self.takeovers: dict[str, int] = {}
         self._bridges = bridges
@@ -296,9 +295,8 @@ class Driver:
             )
         )
 
-    def judge_service(self, component: Component, health: Health, cause: str) -> None:
-        """Take a new verdict on what a service raises."""
-        is_lost = health is Health.LOST
+    def judge(self, component: Component, health: Health, cause: str, *, instance: int = 0) -> None:
+        """Take a new verdict on what a service raises, or an instance of a component."""
         self.post(
             ev.HealthReported(
                 component.bridge,
@@ -306,8 +304,9 @@ class Driver:
                 cause,
                 component.name,
                 "messages",
-                is_avoided=is_lost,
-                function=component.function,
+                is_avoided=health is Health.LOST,
+                function="" if instance else component.function,
+                instance=instance,
             )
         )
 
@@ -326,17 +325,7 @@ class Driver:
         record = state.components.get(number)
         if record is None or state.serving.get(record.name) != number:
             return
-        self.post(
-            ev.HealthReported(
-                record.step.component.bridge,
-                health,
-                cause,
-                record.name,
-                "messages",
-                is_avoided=health is Health.LOST,
-                instance=number,
-            )
-        )
+        self.judge(record.step.component, health, cause, instance=number)
 
     def _handle(self, event: ev.Event) -> None:
         # Before the step: an event at which it fails is the one that a test must play again
@@ -351,7 +340,6 @@ class Driver:
             return
         # Before the actions: a thread that an action wakes finds the state from which it follows.
         before, self.state = self.state, state
-        self.live.state = state
         if state.offers is not before.offers:
             self.offers.wake()
         # A thread that hangs in a batch still asks whether it was cancelled.
@@ -388,11 +376,10 @@ class Driver:
                 ending = self.live.take(action.connection, parts, action.placement, lost)
                 ended = ev.Ended(action.connection) if action.ends else None
                 close = partial(self.live.close, ending, ends=action.ends)
-                self._call(action, partial(_end, action, close, ended))
+                self._call(action, close, after=ended)
             case act.Finish():
-                ending = self.live.take_draining(action)
-                finish = partial(self.live.finish, ending)
-                self._call(action, partial(_end, action, finish, ev.RanOut(action.placement.user)))
+                finish = partial(self.live.finish, self.live.take_draining(action))
+                self._call(action, finish, after=ev.RanOut(action.placement.user))
             case act.HandOver():
                 self._hand_over(action)
             case act.Resolve():
@@ -406,8 +393,8 @@ class Driver:
             case act.Drain():
                 # Found now: a move of the same connection may close them before the lane is
                 # reached.
-                edges = self.live.edges_of(action.placement)
-                self._call(action, partial(self._drain, action, edges))
+                drain = partial(self.live.drain, self.live.edges_of(action.placement))
+                self._call(action, drain, after=ev.Drained(action.connection))
             case act.Release():
                 self._call(action, partial(self.live.release, action.components))
             case act.OpenOffer():
@@ -443,17 +430,30 @@ class Driver:
         action: act.CallAction,
         call: Callable[[], ev.Event | None],
         *,
+        after: ev.Event | None = None,
         is_quick: Callable[[], bool] | None = None,
     ) -> None:
-        """Have a call made in the action's lane, and its result posted."""
-        self._lanes.put(action.lane, partial(self._made, action, call), is_quick=is_quick)
+        """Have a call made in the action's lane, and its result posted.
 
-    def _made(self, action: act.CallAction, call: Callable[[], ev.Event | None]) -> None:
+        Args:
+            action: what is done.
+            call: does it, and returns an event, if any.
+            after: the event that follows whatever goes wrong: an end ends.
+            is_quick: says whether it calls nothing that may hang.
+        """
+        self._lanes.put(action.lane, partial(self._made, action, call, after), is_quick=is_quick)
+
+    def _made(
+        self,
+        action: act.CallAction,
+        call: Callable[[], ev.Event | None],
+        after: ev.Event | None,
+    ) -> None:
         try:
-            event = foreign(call)
+            event = foreign(call) or after
         except Exception:  # noqa: BLE001 - the lane must go on
             _log.exception("the control plane failed to do %r", action)
-            return
+            event = after
         # In the lane's thread, which owns the state then if no other does: no event needs one of
         # its own.
         if event is not None:
@@ -514,10 +514,6 @@ class Driver:
         )
 
     # Calls into bridges, made in lanes.
-
-    def _drain(self, action: act.Drain, edges: Iterable[LiveEdge]) -> ev.Event:
-        self.live.drain(edges)
-        return ev.Drained(action.connection)
 
     def _open(self, action: act.Open, state: State) -> ev.Event:
         """Open a batch; the time limit of a first plan is that of its request."""
@@ -586,14 +582,3 @@ class Driver:
 
 def _bridges_of(components: Iterable[Component]) -> dict[str, str]:
     return {component.name: component.bridge for component in components}
-
-
-def _end(
-    action: act.Close | act.Finish, call: Callable[[], None], event: ev.Event | None
-) -> ev.Event | None:
-    """Make a call after which an event is posted whatever goes wrong: an end ends."""
-    try:
-        foreign(call)
-    except Exception:  # noqa: BLE001 - see above
-        _log.exception("closing what %s had open failed", action.connection)
-    return event

@@ -8,12 +8,12 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.state import OfferRecord, State
+from uoarm._control.engine.state import OfferRecord
 from uoarm._control.live.bridges import BridgeSet
+from uoarm._control.live.parts import StateOwner
 from uoarm._control.live.revisions import Revisions
 from uoarm._control.live.threads import EventDispatcher
 from uoarm._control.offered_function import Functions, OfferedFunction, offered_structures
@@ -30,15 +30,6 @@ _LEAVING_SECONDS = 5.0
 _CHANGES = frozenset({"failed", "closed", "waiting", "replaced"})
 
 
-class Reconciler(Protocol):
-    """Owns the state of this moment, and takes events."""
-
-    state: State
-
-    def post(self, event: ev.Event) -> None:
-        """Take an event."""
-
-
 class Offers:
     """Keeps what the configuration in force offers open, once it has begun. Thread safe.
 
@@ -50,7 +41,7 @@ class Offers:
 
     def __init__(
         self,
-        owner: Reconciler,
+        owner: StateOwner,
         revisions: Revisions,
         functions: Functions,
         bridges: BridgeSet,

@@ -10,11 +10,12 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from itertools import chain
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from attrs import define
 
 from uoarm._control.engine import actions as act
+from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import by_age, connection_of
 from uoarm._control.engine.placement import (
     PORTS,
@@ -36,7 +37,7 @@ from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.model import Component, ComponentStatus, Health, RouteStatus, ValidationMode
 
-__all__ = ["Ending", "LiveParts"]
+__all__ = ["Ending", "LiveParts", "StateOwner"]
 
 T = TypeVar("T")
 
@@ -44,6 +45,15 @@ _HANGING = 4
 _DRAIN_SECONDS = 30.0
 _PLAN_DRAIN_SECONDS = 2.0
 _LEAVING_SECONDS = 2.0
+
+
+class StateOwner(Protocol):
+    """Owns the state of this moment, and takes events."""
+
+    state: State
+
+    def post(self, event: ev.Event) -> None:
+        """Take an event."""
 
 
 @define(eq=False)
@@ -130,16 +140,14 @@ class LiveParts:
     """The objects of open parts.
 
     Args:
+        owner: of the state by whose ids they are found.
         judged: called, with a component's id, when the verdict on what it raises changes.
         announce: takes a subject, a change, its cause and the function, for listeners.
-
-    Attributes:
-        state: of this moment; its owner sets it.
     """
 
     def __init__(
         self,
-        state: State,
+        owner: StateOwner,
         bridges: BridgeSet,
         clock: Clock,
         judged: Callable[[int, Health, str], None],
@@ -148,7 +156,7 @@ class LiveParts:
     ) -> None:
         self._bridges = bridges
         self._judged = judged
-        self.state = state
+        self._owner = owner
         self._clock = clock
         self.emergency_stop = emergency_stop
         self._announce = announce
@@ -166,13 +174,13 @@ class LiveParts:
 
     def shared(self) -> tuple[LiveComponent, ...]:
         """Return the components that are in use and well enough to be shared."""
-        objects = self.components.copy()
-        return tuple(objects[record.id] for record in self.state.shared() if record.id in objects)
+        records = self._owner.state.shared()
+        return tuple(_there(self.components.copy(), (record.id for record in records)))
 
     def feeding(self) -> tuple[LiveEdge, ...]:
         """Return the edges that feed something."""
         objects = self.edges.copy()
-        return tuple(_there(objects, sorted(self.state.feeding.values())))
+        return tuple(_there(objects, sorted(self._owner.state.feeding.values())))
 
     def routes(self) -> tuple[RouteStatus, ...]:
         """Return the counters of these edges; one that is being opened has none yet."""
@@ -181,13 +189,13 @@ class LiveParts:
 
     def statuses(self) -> tuple[ComponentStatus, ...]:
         """Return what the status map shows of components."""
-        objects = self.components.copy()
-        return tuple(_status(record, objects.get(record.id)) for record in self.state.shared())
+        objects, records = self.components.copy(), self._owner.state.shared()
+        return tuple(_status(record, objects.get(record.id)) for record in records)
 
     def connections(self) -> tuple[ConnectionRuntime, ...]:
         """Return the connections that have a plan and have not ended, oldest first."""
         runtimes = self.runtimes.copy()
-        records = oldest_first(self.state.connections.values())
+        records = oldest_first(self._owner.state.connections.values())
         found = (runtimes.get(record.id) for record in records)
         return tuple(
             runtime for runtime in found if runtime is not None and runtime.record is not None
@@ -210,9 +218,9 @@ class LiveParts:
         for joined in _there(self.edges, (edge,)):
             joined.renew_check()
 
-    def edges_of(self, placement: Placement | None) -> list[LiveEdge]:
+    def edges_of(self, placement: Placement) -> list[LiveEdge]:
         """Return the edges of a plan that are open, those of the first producers first."""
-        return [] if placement is None else _there(self.edges, placement.edges)
+        return _there(self.edges, placement.edges)
 
     def take(
         self, connection: str, parts: Parts, placement: Placement | None, lost: Iterable[int]
@@ -415,7 +423,7 @@ class LiveParts:
         for leaving in self._leaving.of(component.name):
             if leaving.bridge is bridge:
                 leaving.wait_over(_LEAVING_SECONDS)
-        limits, report = self.state.policy.failing, partial(self._judged, record.id)
+        limits, report = self._owner.state.policy.failing, partial(self._judged, record.id)
         failures = FailureWatch(component.name, limits, self._clock, report)
         subject, function = f"component {component.name}", component.function
         self.components[record.id] = LiveComponent(
@@ -447,7 +455,7 @@ class LiveParts:
         joined.renew_check()
 
     def _strictness(self, edge: int) -> ValidationMode:
-        record = self.state.edges.get(edge)
+        record = self._owner.state.edges.get(edge)
         return ValidationMode.OFF if record is None else record.strictest
 
     def _receive(self, action: act.Open) -> None:

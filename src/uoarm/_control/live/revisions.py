@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
-from typing import Protocol
 
 from attrs import evolve, field, frozen
 
@@ -24,6 +23,7 @@ from uoarm._control.engine import events as ev
 from uoarm._control.engine.move import forget_earlier, recently
 from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.live.bridges import BridgeSet, StagedBridges
+from uoarm._control.live.parts import StateOwner
 from uoarm._dataplane import Clock
 from uoarm._resolve import Hold, Resolver, StructureCache, Unavailable, without_candidates
 from uoarm._support.ordered import OrderedMap
@@ -61,12 +61,6 @@ _log = logging.getLogger("uoarm")
 
 Resolve = Callable[[str, frozenset[str]], Plan]
 """Resolves a function without the components of these names, or raises ResolutionError."""
-
-
-class StateOwner(Protocol):
-    """Has the state of this moment."""
-
-    state: State
 
 
 def find_replacement(
