@@ -177,7 +177,7 @@ def test_a_decoder_finds_its_frames_again_after_garbage(
 
 @given(data=st.binary(max_size=60), size=st.integers(1, 7))
 def test_every_octet_is_in_a_frame_or_counted(data: bytes, size: int) -> None:
-    frames = MarkedFrames(size)
+    frames = MarkedFrames(size, bytes)
     found = frames.feed(data + bytes([MARK]) + bytes(size - 1))
     assert all(frame[0] & MARK and len(frame) == size for frame in found)
     assert not any(octet & MARK for frame in found for octet in frame[1:])

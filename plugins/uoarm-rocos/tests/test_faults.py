@@ -336,7 +336,7 @@ def test_a_call_on_a_line_that_is_lost_before_it_is_ready_again_fails_at_once(
         second = Scripted(listener.accept()[0])
         second.receive(DescribeMessage)
         # A call that saw the device there a moment before it was lost.
-        monkeypatch.setattr(robot, "_await_ready", lambda timeout: None)
+        monkeypatch.setattr(robot, "_await", lambda timeout: None)
 
         def ask() -> None:
             try:

@@ -6,11 +6,11 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from uoarm.bridge import (
     Bridge,
     Capabilities,
-    Channel,
     Delivery,
     Description,
     Discovered,
@@ -135,15 +135,16 @@ class RocosBridge(Bridge):
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         api = self._checked(endpoint, structure)
-        channel = SourceChannel(endpoint, self._report_flow)
-        device = self._device(endpoint)
-        channel.attach(device.open_output(api, deliver, channel.report_health, _OPEN_SECONDS))
+        channel = SourceChannel(endpoint)
+        report = partial(self.report, channel=channel)
+        channel.flow = self._device(endpoint).open_output(api, deliver, report, _OPEN_SECONDS)
         return channel
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         api = self._checked(endpoint, structure)
-        channel = SinkChannel(endpoint, self._report_flow)
-        channel.attach(self._device(endpoint).open_input(api, channel.report_health, _OPEN_SECONDS))
+        channel = SinkChannel(endpoint)
+        report = partial(self.report, channel=channel)
+        channel.flow = self._device(endpoint).open_input(api, report, _OPEN_SECONDS)
         return channel
 
     def _call(
@@ -201,14 +202,9 @@ class RocosBridge(Bridge):
                 raise BridgeError(f"bridge {self.name!r} is closed", FailureReason.CLOSED)
             device = self._devices.get(name)
             if device is None:
-                device = self._devices[name] = self._make(name, options)
+                changed = partial(self._device_changed, name)
+                device = self._devices[name] = make_device(name, options, self._wire, changed)
             return device
-
-    def _make(self, name: str, options: DeviceOptions) -> Device:
-        def changed(health: Health, cause: str, apis: dict[str, str]) -> None:
-            self._device_changed(name, health, cause, apis)
-
-        return make_device(name, options, self._wire, changed)
 
     def _find(self, endpoint: Endpoint, timeout: float | None = None) -> Api:
         name, api, direction = address_of(endpoint)
@@ -226,9 +222,6 @@ class RocosBridge(Bridge):
             text = f"{endpoint}: the device has another catalogue than the one that was checked"
             raise BridgeError(text, FailureReason.CONTRACT)
         return api
-
-    def _report_flow(self, channel: Channel, health: Health, cause: str) -> None:
-        self.report(health, cause, channel=channel)
 
     def _device_changed(
         self, device: str, health: Health, cause: str, apis: dict[str, str]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from uoarm.bridge import Channel, ChannelMonitor, Delivery, ReceiveQueue, Sink, Source
-from uoarm.model import Endpoint, Health, Message
+from uoarm.model import Message
 from uoarm_rocos._catalogue import Api, Direction
 from uoarm_rocos._device import DeviceFlow, InputFlow
 from uoarm_rocos._framing import WireError
@@ -22,49 +22,33 @@ __all__ = [
     "delivery_queue",
 ]
 
-Report = Callable[[Channel, Health, str], None]
+F = TypeVar("F", bound=DeviceFlow)
 
 
-class SourceChannel(Source):
-    """A flow from a device. Made before the flow, so that the flow can report its health."""
+class _FlowChannel(Channel, Generic[F]):
+    """A flow of a device. Made before the flow, so that the flow can report its health.
 
-    def __init__(self, endpoint: Endpoint, report: Report) -> None:
-        super().__init__(endpoint)
-        self._report = report
-        self._flow: DeviceFlow | None = None
+    Attributes:
+        flow: set once it is open.
+    """
 
-    def report_health(self, health: Health, cause: str) -> None:
-        """Pass a change on to the manager."""
-        self._report(self, health, cause)
-
-    def attach(self, flow: DeviceFlow) -> None:
-        """Take the open flow."""
-        self._flow = flow
+    flow: F | None = None
 
     def facts(self) -> Mapping[str, object]:
         """Return the flow's counters."""
-        return {} if self._flow is None else self._flow.facts()
+        return {} if self.flow is None else self.flow.facts()
 
     def _close(self) -> None:
-        if self._flow is not None:
-            self._flow.close()
+        if self.flow is not None:
+            self.flow.close()
 
 
-class SinkChannel(Sink):
+class SourceChannel(_FlowChannel[DeviceFlow], Source):
+    """A flow from a device."""
+
+
+class SinkChannel(_FlowChannel[InputFlow], Sink):
     """A flow into a device; `send` blocks as long as the line does."""
-
-    def __init__(self, endpoint: Endpoint, report: Report) -> None:
-        super().__init__(endpoint)
-        self._report = report
-        self._feed: InputFlow | None = None
-
-    def report_health(self, health: Health, cause: str) -> None:
-        """Pass a change on to the manager."""
-        self._report(self, health, cause)
-
-    def attach(self, feed: InputFlow) -> None:
-        """Take the open flow."""
-        self._feed = feed
 
     def _send(self, message: Message) -> None:
         """Send one message to the device.
@@ -72,16 +56,8 @@ class SinkChannel(Sink):
         Raises:
             BridgeError: it does not fit, or the line is gone.
         """
-        assert self._feed is not None, "attached before the channel was returned"
-        self._feed.send(message)
-
-    def facts(self) -> Mapping[str, object]:
-        """Return the flow's counters."""
-        return {} if self._feed is None else self._feed.facts()
-
-    def _close(self) -> None:
-        if self._feed is not None:
-            self._feed.close()
+        assert self.flow is not None, "set before the channel was returned"
+        self.flow.send(message)
 
 
 _MOST = 1024

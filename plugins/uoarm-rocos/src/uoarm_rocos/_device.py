@@ -11,6 +11,7 @@ from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
 from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, Direction, ErrorCode, ErrorMessage
+from uoarm_rocos._framing import LineError
 from uoarm_rocos._line import DeviceLine
 
 __all__ = [
@@ -109,16 +110,21 @@ class Device(ABC):
 class LineDevice(Device):
     """A device on a line of its own, which its constructor opens as the last thing.
 
+    Args:
+        name: for threads and errors.
+
     Must implement: `catalogue`. May implement `_ended`.
     """
 
     _line: DeviceLine
 
-    def __init__(self) -> None:
-        # Guards `_closed`, and what a subclass has on its line, between callers and the line's
+    def __init__(self, name: str) -> None:
+        self.name = name
+        # Guards what follows, and what a subclass has on its line, between callers and the line's
         # thread; wakes callers that wait for the device.
         self._state = threading.Condition()
-        self._closed = False
+        self._is_there = self._closed = False
+        self._cause = "not connected yet"  # why it is not there
 
     @property
     def empty_turns(self) -> int:  # type: ignore[override]  # of no other device
@@ -139,6 +145,24 @@ class LineDevice(Device):
 
     def _ended(self) -> None:
         """Have what waits for the device fail: its line has ended."""
+
+    def _await(self, timeout: float) -> None:
+        """Wait until the device is there.
+
+        Raises:
+            LineError: it is not in so many seconds; the text says why.
+            BridgeError: it was closed.
+        """
+        if self._is_there and not self._closed:
+            return  # without the lock: it would not hold any longer with it
+        with self._state:
+            if not self._state.wait_for(lambda: self._is_there or self._closed, timeout):
+                raise LineError(f"{self.name} is not there after {timeout:g} s: {self._cause}")
+            self._check_open()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise BridgeError(f"{self.name} is closed", FailureReason.CLOSED)
 
 
 def find(catalogue: DeviceCatalogue, name: str, direction: Direction | None) -> Api:

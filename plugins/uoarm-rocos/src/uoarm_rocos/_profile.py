@@ -267,14 +267,11 @@ class ProfileDevice(LineDevice):
         catalogue: DeviceCatalogue | None,
         changed: Changed,
     ) -> None:
-        super().__init__()
-        self.name = name
+        super().__init__(name)
         self.is_prompt = wire.prompt
         self._timing = timing
         self._changed = changed
         self._known = catalogue
-        self._ready = False
-        self._cause = "not connected yet"
         self._disconnection = Disconnection(timing.grace)
         self._answers = PendingAnswers(name)
         self._flows: set[ProfileFlow] = set()
@@ -290,7 +287,7 @@ class ProfileDevice(LineDevice):
 
     def catalogue(self, timeout: float) -> DeviceCatalogue:
         """Return what the device offers now."""
-        self._await_ready(timeout)
+        self._await(timeout)
         assert self._known is not None
         return self._known
 
@@ -302,7 +299,7 @@ class ProfileDevice(LineDevice):
         """Ask a service; gives the call up, with a word to the device, when time is up."""
         end = time.monotonic() + timeout
         values = fit(api.input, message, f"request to {api.name}")
-        self._await_ready(min(timeout, self._timing.wait))
+        self._await(min(timeout, self._timing.wait))
         self._check_same(api)
         what = f"calling {api.name} of {self.name}"
         identity, refused = self._conversation.ids.next(), self._conversation.refused
@@ -346,7 +343,7 @@ class ProfileDevice(LineDevice):
         """Begin, or begin again, with what the device offers now; from the line's thread."""
         with self._state:
             before, self._known = self._known, catalogue
-            self._ready = True
+            self._is_there = True
             flows = list(self._flows)
             self._state.notify_all()
         self._disconnection.up()
@@ -380,7 +377,7 @@ class ProfileDevice(LineDevice):
     def on_lost(self, cause: str) -> None:
         """Fail what waits and report it to flows; from the line's thread, at each attempt."""
         with self._state:
-            self._ready, self._cause = False, cause
+            self._is_there, self._cause = False, cause
             flows = list(self._flows)
             self._by_id.clear()
         self._unsent_closes.clear()
@@ -404,16 +401,6 @@ class ProfileDevice(LineDevice):
 
     def _named(self, api: Api) -> str:
         return f"flow {api.name} of {self.name}"
-
-    def _await_ready(self, timeout: float) -> None:
-        if self._ready and not self._closed:
-            return  # without the lock: it would not hold any longer with it
-        with self._state:
-            if not self._state.wait_for(lambda: self._ready or self._closed, timeout):
-                text = f"{self.name} is not there after {timeout:g} s: {self._cause}"
-                raise LineError(text)
-            if self._closed:
-                raise BridgeError(f"{self.name} is closed", FailureReason.CLOSED)
 
     def _check_same(self, api: Api) -> None:
         now = self._known.apis.get(api.name) if self._known else None
@@ -468,7 +455,7 @@ class ProfileDevice(LineDevice):
 
     def _open(self, flow: ProfileFlow, timeout: float) -> None:
         end = time.monotonic() + timeout
-        self._await_ready(min(timeout, self._timing.wait))
+        self._await(min(timeout, self._timing.wait))
         self._check_same(flow.api)
         what = f"opening {flow.direction.value} {flow.api.name} of {self.name}"
         refused = self._conversation.refused

@@ -162,25 +162,19 @@ class Monitor(LineDevice):
     def __init__(
         self, name: str, transport: Callable[[], LineTransport], timing: Timing, changed: Changed
     ) -> None:
-        super().__init__()
-        self._name = name
+        super().__init__(name)
         self._timing = timing
         self._changed = changed
         self._decoder = Ua767Decoder()
-        # Changed in `_state`: a reading is acknowledged only while a call waits for it.
-        self._open = False
-        self._cause = "not connected yet"
         self._disconnection = Disconnection(timing.grace)
+        # Changed in `_state`: a reading is acknowledged only while a call waits for it.
         self._waiting: list[PendingReply] = []
         self._line = DeviceLine(name, transport, self, timing.backoff)
         self._line.start()
 
     def catalogue(self, timeout: float) -> DeviceCatalogue:
         """Return the catalogue once the port is open."""
-        with self._state:
-            if not self._state.wait_for(lambda: self._open or self._closed, timeout):
-                raise LineError(f"{self._name} is not there after {timeout:g} s: {self._cause}")
-            self._check_open()
+        self._await(timeout)
         return blood_pressure_catalogue()
 
     def call(self, api: Api, message: object, timeout: float) -> dict[str, Any]:
@@ -192,25 +186,25 @@ class Monitor(LineDevice):
         with self._state:
             self._check_open()
             if len(self._waiting) >= _MOST_CALLS:
-                text = f"{_MOST_CALLS} calls already wait for {self._name}"
+                text = f"{_MOST_CALLS} calls already wait for {self.name}"
                 raise BridgeError(text, FailureReason.REFUSED)
             self._waiting.append(answer)
         if not answer.wait(max(0.0, timeout - (time.monotonic() - began))):
             with self._state:
                 if answer in self._waiting:
                     self._waiting.remove(answer)
-            text = f"{self._name}: no measurement within {timeout:g} s"
+            text = f"{self.name}: no measurement within {timeout:g} s"
             raise BridgeTimeoutError(text)
-        return fit(api.output, answer.value(), f"reading of {self._name}")
+        return fit(api.output, answer.value(), f"reading of {self.name}")
 
     def _ended(self) -> None:
-        self._fail(BridgeError(f"{self._name} was closed", FailureReason.CLOSED))
+        self._fail(BridgeError(f"{self.name} was closed", FailureReason.CLOSED))
 
     def connected(self) -> None:
         """Begin with a new decoder."""
         self._decoder = Ua767Decoder()
         with self._state:
-            self._open = True
+            self._is_there = True
             self._state.notify_all()
         self._disconnection.up()
         self._changed(Health.OK, "the port is open", {})
@@ -234,16 +228,12 @@ class Monitor(LineDevice):
     def lost(self, cause: str) -> None:
         """Fail the calls that wait."""
         with self._state:
-            self._open, self._cause = False, cause
-        text = f"the line to {self._name} is lost: {cause}"
+            self._is_there, self._cause = False, cause
+        text = f"the line to {self.name} is lost: {cause}"
         health = self._disconnection.down(time.monotonic(), final=False)
         if health is not None:
             self._changed(health, f"{HealthReason.DISCONNECTED.value}: {text}", {})
         self._fail(LineError(text))
-
-    def _check_open(self) -> None:
-        if self._closed:
-            raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
 
     def _fail(self, error: BridgeError) -> None:
         with self._state:

@@ -12,10 +12,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from uoarm.bridge import ChannelMonitor, Delivery
-from uoarm.errors import BridgeError, FailureReason
 from uoarm_rocos._catalogue import (
     Api,
     ApiKind,
@@ -28,7 +27,6 @@ from uoarm_rocos._catalogue import (
 )
 from uoarm_rocos._channels import QueuedReceiver, delivery_queue
 from uoarm_rocos._device import LineDevice, ReportHealth
-from uoarm_rocos._framing import LineError
 from uoarm_rocos._health import flow_monitor
 from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._options import Timing
@@ -105,26 +103,28 @@ def reading(
     return message
 
 
+T = TypeVar("T")
 MARK = 0x80
 
 
-class MarkedFrames:
+class MarkedFrames(Generic[T]):
     """Finds frames by their mark; a frame that the next mark cuts short is thrown away.
 
     Args:
         size: octets of a frame.
+        read: makes of a frame what `feed` returns.
 
     Attributes:
         discarded: octets that belonged to no frame.
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, read: Callable[[bytes], T]) -> None:
         self.discarded = 0
-        self._size = size
+        self._size, self._read = size, read
         self._frame = bytearray()
 
-    def feed(self, data: bytes) -> list[bytes]:
-        """Return the frames that are complete with these octets."""
+    def feed(self, data: bytes) -> list[T]:
+        """Return what the frames are that are complete with these octets."""
         found = []
         for octet in data:
             if octet & MARK:
@@ -135,7 +135,7 @@ class MarkedFrames:
             else:
                 self.discarded += 1
             if len(self._frame) == self._size:
-                found.append(bytes(self._frame))
+                found.append(self._read(bytes(self._frame)))
                 self._frame = bytearray()
         return found
 
@@ -148,20 +148,11 @@ _CONTEC_WAVE_MOST = 127
 _NO_PULSE = {0, 255}
 
 
-class ContecDecoder:
+class ContecDecoder(MarkedFrames[dict[str, Any]]):
     """Makes messages of frames."""
 
     def __init__(self) -> None:
-        self._frames = MarkedFrames(_CONTEC_SIZE)
-
-    @property
-    def discarded(self) -> int:
-        """Octets that belonged to no frame."""
-        return self._frames.discarded
-
-    def feed(self, data: bytes) -> list[dict[str, Any]]:
-        """Return the messages that are complete with these octets."""
-        return [_contec_message(frame) for frame in self._frames.feed(data)]
+        super().__init__(_CONTEC_SIZE, _contec_message)
 
 
 def _contec_message(frame: bytes) -> dict[str, Any]:
@@ -213,20 +204,11 @@ _START = 0x01
 _NONIN_WAVE_MOST = 255
 
 
-class Nonin1Decoder:
+class Nonin1Decoder(MarkedFrames[dict[str, Any]]):
     """Makes messages of frames; each says everything."""
 
     def __init__(self) -> None:
-        self._frames = MarkedFrames(_SIZE_1)
-
-    @property
-    def discarded(self) -> int:
-        """Octets that belonged to no frame."""
-        return self._frames.discarded
-
-    def feed(self, data: bytes) -> list[dict[str, Any]]:
-        """Return the messages that are complete with these octets."""
-        return [_message_1(*frame) for frame in self._frames.feed(data)]
+        super().__init__(_SIZE_1, _message_1)
 
 
 class Nonin2Decoder:
@@ -282,7 +264,8 @@ class Nonin2Decoder:
         return _nonin_reading(quality, self._rate, self._spo2, wave / _NONIN_WAVE_MOST)
 
 
-def _message_1(status: int, low: int, spo2: int) -> dict[str, Any]:
+def _message_1(frame: bytes) -> dict[str, Any]:
+    status, low, spo2 = frame
     return _nonin_reading(_quality_1(status), (status & 3) << 7 | low, spo2, None)
 
 
@@ -355,16 +338,13 @@ class StreamDevice(LineDevice):
         transport: Callable[[], LineTransport],
         timing: Timing,
     ) -> None:
-        super().__init__()
-        self._name = name
+        super().__init__(name)
         self._catalogue = catalogue
         self._make_decoder = decoder
         self._decoder = decoder()
         self._timing = timing
         (self._api,) = catalogue.apis.values()
         self._patience = max(_PERIODS * (self._api.period or 0.0), _LEAST_SILENCE)
-        self._there = False
-        self._cause = "not connected yet"
         self._last = time.monotonic()
         self._flows: tuple[_StreamFlow, ...] = ()
         self._deliveries = delivery_queue(name)
@@ -373,11 +353,7 @@ class StreamDevice(LineDevice):
 
     def catalogue(self, timeout: float) -> DeviceCatalogue:
         """Return the catalogue once the device sends."""
-        with self._state:
-            if not self._state.wait_for(lambda: self._there or self._closed, timeout):
-                raise LineError(f"{self._name} is not there after {timeout:g} s: {self._cause}")
-        if self._closed:
-            raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
+        self._await(timeout)
         return self._catalogue
 
     def open_output(
@@ -385,7 +361,7 @@ class StreamDevice(LineDevice):
     ) -> _StreamFlow:
         """Give messages to one more receiver."""
         self.catalogue(timeout)
-        what = f"flow {api.name} of {self._name}"
+        what = f"flow {api.name} of {self.name}"
         monitor = flow_monitor(what, api.period, self._timing.grace, report)
         monitor.connected()
         flow = _StreamFlow(deliver, monitor, self)
@@ -419,9 +395,9 @@ class StreamDevice(LineDevice):
         if not messages:
             return
         self._last = time.monotonic()
-        if not self._there:
+        if not self._is_there:
             with self._state:
-                self._there = True
+                self._is_there = True
                 self._state.notify_all()
             for flow in self._flows:
                 flow.monitor.connected()
@@ -434,11 +410,11 @@ class StreamDevice(LineDevice):
         """Notice silence."""
         silent = now - self._last
         if silent > self._patience:
-            self._missing(f"no frame from {self._name} for {silent:.1f} s: {_ADVICE}")
+            self._missing(f"no frame from {self.name} for {silent:.1f} s: {_ADVICE}")
 
     def lost(self, cause: str) -> None:
         """Notice that the line is gone; called again at each attempt to open it."""
-        text = f"the line to {self._name} is lost: {cause}"
+        text = f"the line to {self.name} is lost: {cause}"
         for flow in self._flows:
             flow.monitor.connected(0, text)
         self._missing(text)
@@ -446,7 +422,7 @@ class StreamDevice(LineDevice):
     def _missing(self, cause: str) -> None:
         self._cause = cause
         with self._state:
-            self._there = False
+            self._is_there = False
         for flow in self._flows:
             flow.monitor.tick(f": {_ADVICE}")
 
