@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from typing import Any
 
-from attrs import frozen
+from attrs import define, field, frozen
 
 from uoarm.bridge import Description, Discovered
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
@@ -125,19 +125,14 @@ def _description(
     return (describe_action if kind_of(type_name) == ACTION else describe_service)(type_name)
 
 
+@define(eq=False)
 class NodePresence:
     """Which nodes are on the graph, compared with the last look."""
 
-    def __init__(
-        self,
-        node: Any,
-        own: Callable[[], frozenset[str]],
-        report: Callable[[Health, str, str], None],
-    ) -> None:
-        self._node = node
-        self._own = own
-        self._report = report
-        self._present: set[str] | None = None
+    _node: Any
+    _own: Callable[[], frozenset[str]]
+    _report: Callable[[Health, str, str], None]
+    _present: set[str] | None = field(default=None, init=False)
 
     def tick(self) -> None:
         """Report the nodes that came or went since the last look; the first look reports none."""

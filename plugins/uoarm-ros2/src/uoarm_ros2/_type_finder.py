@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from attrs import evolve
+from attrs import define, evolve, field
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message
@@ -228,6 +228,7 @@ def tf_message() -> type:
     return untyped_record(RecordType(TF_MESSAGE, object, (field,), {}, ())).native
 
 
+@define(eq=False, slots=False)
 class TypeFinder:
     """Finds the classes of message types; what nodes described is kept by its hash.
 
@@ -237,17 +238,11 @@ class TypeFinder:
         defined: what the folders of the bridge define.
     """
 
-    def __init__(
-        self,
-        ask: Callable[[str, Message], Message],
-        peers: Callable[[str], Iterable[Peer]],
-        defined: DefinedTypes,
-    ) -> None:
-        self._ask = ask
-        self._peers = peers
-        self._defined = defined
-        self._lock = threading.Lock()
-        self._described: dict[tuple[str, str], type] = {}
+    _ask: Callable[[str, Message], Message]
+    _peers: Callable[[str], Iterable[Peer]]
+    _defined: DefinedTypes
+    _lock: threading.Lock = field(factory=threading.Lock, init=False)
+    _described: dict[tuple[str, str], type] = field(factory=dict, init=False)
 
     def find(self, name: str, topic: str) -> type:
         """Return the class of a type that a topic carries; blocks while nodes are asked.

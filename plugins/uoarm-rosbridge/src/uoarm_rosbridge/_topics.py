@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from attrs import frozen
+from attrs import define, field, frozen
 
 from uoarm import cdr
 from uoarm.errors import ControlMessageError, MessageError, UoarmError, UsageError
@@ -210,6 +210,7 @@ _WISHES = 256  # of one topic; all are looked at when one changes
 _WISHES_PER_STREAM = 64
 
 
+@define(eq=False)
 class Topics:
     """Publications and subscriptions of one client by topic, in the loop's thread.
 
@@ -222,24 +223,15 @@ class Topics:
         warn: reports to the client what it should know of a message of its.
     """
 
-    def __init__(
-        self,
-        client: Client,
-        backend: Backend,
-        hub: Hub,
-        addresses: Addresses,
-        fail: Callable[[Fields, BaseException], None],
-        warn: Callable[[Fields, str], None],
-    ) -> None:
-        self._client = client
-        self._backend = backend
-        self._hub = hub
-        self._addresses = addresses
-        self._fail = fail
-        self._warn = warn
-        self._publications: dict[str, InputPublication | SharedPublication] = {}
-        self._latched: set[str] = set()
-        self._subscriptions: dict[str, RosbridgeSubscription] = {}
+    _client: Client
+    _backend: Backend
+    _hub: Hub
+    _addresses: Addresses
+    _fail: Callable[[Fields, BaseException], None]
+    _warn: Callable[[Fields, str], None]
+    _publications: dict[str, InputPublication | SharedPublication] = field(factory=dict, init=False)
+    _latched: set[str] = field(factory=set, init=False)
+    _subscriptions: dict[str, RosbridgeSubscription] = field(factory=dict, init=False)
 
     def advertise(self, fields: Fields) -> None:
         """Open a topic for publishing; a function's input, or a topic between clients."""

@@ -12,6 +12,7 @@ import secrets
 import time
 from collections.abc import Callable, Mapping
 from enum import Enum
+from typing import Any
 
 import orjson
 from attrs import evolve, field, frozen
@@ -209,6 +210,24 @@ class Approval:
     def is_open(self) -> bool:
         """Whether it may still be approved or used."""
         return self.phase in _OPEN
+
+    def facts(self) -> dict[str, Any]:
+        """Return it as data, without the arguments and what only a person who decides reads."""
+        request = self.request
+        return {
+            "approval": self.id,
+            "phase": self.phase.value,
+            "requester": request.requester,
+            "approver": self.approver,
+            "operation": request.operation,
+            "function": request.function,
+            "port": request.port,
+            "envelope": to_json(request.envelope),
+            "seconds": request.seconds,
+            "uses": self.uses,
+            "digest": self.digest,
+            "cause": self.cause,
+        }
 
 
 class ApprovalBook:
@@ -463,11 +482,9 @@ class Approvals:
 
     def visible(self, role: AccessRole) -> list[Approval]:
         """Return those that a role may decide about, oldest first."""
-        approvals = self._book.all(time.monotonic())
-        self._report()
         return [
             approval
-            for approval in approvals
+            for approval in self._all()
             if role.allows(Operation.APPROVE, approval.request.function)
         ]
 
@@ -479,9 +496,7 @@ class Approvals:
 
     def asked_by(self, requester: str) -> list[Approval]:
         """Return those that a principal has asked for, oldest first."""
-        approvals = self._book.all(time.monotonic())
-        self._report()
-        return [approval for approval in approvals if approval.request.requester == requester]
+        return [approval for approval in self._all() if approval.request.requester == requester]
 
     def left(self, approval: Approval) -> float:
         """Return the seconds until one ends by itself."""
@@ -556,6 +571,11 @@ class Approvals:
         """Notify a watcher no more. Idempotent."""
         self._watchers.pop(watcher, None)
 
+    def _all(self) -> list[Approval]:
+        approvals = self._book.all(time.monotonic())
+        self._report()
+        return approvals
+
     def _void(self, reason: Callable[[Approval], str]) -> None:
         self._book.void(reason, time.monotonic())
         self._report()
@@ -568,22 +588,6 @@ class Approvals:
 
     def _report(self) -> None:
         for approval in self._book.take_changes():
-            self._audit.approval(
-                {
-                    "approval": approval.id,
-                    "phase": approval.phase.value,
-                    "requester": approval.request.requester,
-                    "approver": approval.approver,
-                    "operation": approval.request.operation,
-                    "function": approval.request.function,
-                    "port": approval.request.port,
-                    "envelope": to_json(approval.request.envelope),
-                    "seconds": approval.request.seconds,
-                    "uses": approval.uses,
-                    "digest": approval.digest,
-                    "cause": approval.cause,
-                },
-                approval.request.arguments,
-            )
+            self._audit.approval(approval.facts(), approval.request.arguments)
             for watcher in tuple(self._watchers):
                 watcher(approval)

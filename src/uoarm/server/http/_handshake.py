@@ -12,7 +12,7 @@ from pathlib import Path
 from weakref import WeakKeyDictionary
 
 import orjson
-from attrs import frozen
+from attrs import define, field, frozen
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.exceptions import NegotiationError
@@ -174,8 +174,9 @@ class AcceptedHandshake:
     front_end: FrontEnd | None
 
 
+@define(eq=False)
 class HandshakeHandler:
-    """ReplyCache requests before the handshake; one for each port.
+    """Answers requests before the handshake; one for each port.
 
     Args:
         admission: authenticates clients.
@@ -188,27 +189,17 @@ class HandshakeHandler:
         others: what other protocols are spoken; a single one has every path for its endpoint.
     """
 
-    def __init__(
-        self,
-        admission: Admission,
-        audit: Audit,
-        limits: Limits,
-        totals: Totals,
-        connected: Shares,
-        *,
-        health: Callable[[], Mapping[str, object]],
-        metrics: Callable[[], Awaitable[bytes]],
-        others: FrontEnds | FrontEnd,
-    ) -> None:
-        self._admission = admission
-        self._audit = audit
-        self._limits = limits
-        self._totals = totals
-        self._connected = connected
-        self._health = health
-        self._metrics = metrics
-        self._others = others
-        self._entries: WeakKeyDictionary[ServerConnection, AcceptedHandshake] = WeakKeyDictionary()
+    _admission: Admission
+    _audit: Audit
+    _limits: Limits
+    _totals: Totals
+    _connected: Shares
+    _health: Callable[[], Mapping[str, object]] = field(kw_only=True)
+    _metrics: Callable[[], Awaitable[bytes]] = field(kw_only=True)
+    _others: FrontEnds | FrontEnd = field(kw_only=True)
+    _entries: WeakKeyDictionary[ServerConnection, AcceptedHandshake] = field(
+        factory=WeakKeyDictionary, init=False
+    )
 
     def entry(self, connection: ServerConnection) -> AcceptedHandshake:
         """Return what was decided about a connection whose handshake is done."""

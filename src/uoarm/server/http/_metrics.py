@@ -46,6 +46,7 @@ class Totals:
         self.cut_off += client.is_cut
 
 
+@define(eq=False)
 class Metrics:
     """Collects from the living objects; holds no counts of its own.
 
@@ -56,17 +57,10 @@ class Metrics:
         store: sessions that are kept.
     """
 
-    def __init__(
-        self,
-        registry: FeedRegistry,
-        totals: Totals,
-        clients: Callable[[], Iterable[ConnectedClient]],
-        store: SessionStore,
-    ) -> None:
-        self._store = store
-        self._registry = registry
-        self._totals = totals
-        self._clients = clients
+    _registry: FeedRegistry
+    _totals: Totals
+    _clients: Callable[[], Iterable[ConnectedClient]]
+    _store: SessionStore
 
     async def text(self) -> bytes:
         """Return everything in the text format, version 0.0.4.

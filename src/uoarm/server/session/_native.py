@@ -290,7 +290,7 @@ class NativeSession:
             "number": stream.feed.before_newcomer,
         }
         self._reply(asked, opened)
-        self._streams.begin(stream)
+        stream.begin()
 
     def _managers(self, plan: Plan) -> list[str]:
         return [self._registry.robot.identity, *plan.managers]
@@ -388,7 +388,7 @@ class NativeSession:
         identity, _, port = str(asked.type).partition(".")
         stream = self._streams.own(identity)
         self._client.require(Operation.SEND, stream.connection.plan.function)
-        self._streams.stop(stream, port or None, lambda error: self._done(asked, error))
+        self._streams.sender(stream).stop(port or None, lambda error: self._done(asked, error))
 
     async def _stop_all(self, asked: ControlMessage) -> None:
         view, form = self._view, self._form
@@ -458,8 +458,7 @@ class NativeSession:
         identity, _, port = str(asked.type).partition(".")
         stream = self._streams.own(identity)
         self._client.require(Operation.SEND, stream.connection.plan.function)
-        self._streams.send(
-            stream,
+        self._streams.sender(stream).send(
             asked.jsonMessage,
             port or None,
             lambda error: self._done(asked, error),

@@ -14,6 +14,7 @@ from contextlib import asynccontextmanager
 from http import HTTPStatus
 from typing import Any
 
+from attrs import define, field
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
@@ -121,6 +122,7 @@ class StatelessClient(AdmittedClient):
             self._audit.departure(self.identity)
 
 
+@define(eq=False)
 class StatelessClients:
     """The stateless clients of a server, in the thread of its loop.
 
@@ -132,20 +134,12 @@ class StatelessClients:
         refused: called for each request that is refused.
     """
 
-    def __init__(
-        self,
-        admission: Admission,
-        audit: Audit,
-        registry: FeedRegistry,
-        connected: Shares,
-        refused: Callable[[], None],
-    ) -> None:
-        self._admission = admission
-        self._audit = audit
-        self._registry = registry
-        self._connected = connected
-        self._refused = refused
-        self._clients: dict[Credentials, tuple[Grant, StatelessClient]] = {}
+    _admission: Admission
+    _audit: Audit
+    _registry: FeedRegistry
+    _connected: Shares
+    _refused: Callable[[], None]
+    _clients: dict[Credentials, tuple[Grant, StatelessClient]] = field(factory=dict, init=False)
 
     @asynccontextmanager
     async def admitted(

@@ -163,23 +163,12 @@ def show_approval(approvals: Approvals, approval: Approval, view: RoleView) -> d
     request = approval.request
     components = [name for name in request.foundation.components if view.has_component(name)]
     return {
-        "approval": approval.id,
-        "phase": approval.phase.value,
-        "requester": request.requester,
-        "approver": approval.approver,
-        "operation": request.operation,
-        "function": request.function,
-        "port": request.port,
+        **approval.facts(),
         "arguments": request.arguments,
-        "digest": approval.digest,
-        "envelope": to_json(request.envelope),
-        "seconds": request.seconds,
         "left": approvals.left(approval),
-        "uses": approval.uses,
         "components": components,
         "revision": request.foundation.revision,
         "preview": view.text(request.preview, request.function),
-        "cause": approval.cause,
     }
 
 
@@ -317,6 +306,7 @@ class StatusAnswer:
     number: int
 
 
+@define(eq=False)
 class StatusViews:
     """Answers from one look at the robot, whatever is asked; for one thread.
 
@@ -327,18 +317,11 @@ class StatusViews:
         clock: seconds.
     """
 
-    def __init__(
-        self,
-        status: Callable[[], StatusMap],
-        past: Callable[[], list[tuple[float, StatusEvent]]],
-        views: RoleViews,
-        clock: Clock = time.monotonic,
-    ) -> None:
-        self._status = status
-        self._past = past
-        self._views = views
-        self._clock = clock
-        self._boards: OrderedDict[AccessRole, _RoleStatus] = OrderedDict()
+    _status: Callable[[], StatusMap]
+    _past: Callable[[], list[tuple[float, StatusEvent]]]
+    _views: RoleViews
+    _clock: Clock = time.monotonic
+    _boards: OrderedDict[AccessRole, _RoleStatus] = field(factory=OrderedDict, init=False)
 
     def make(self, questions: Collection[StatusQuestion]) -> dict[StatusQuestion, StatusAnswer]:
         """Return the answers."""

@@ -13,7 +13,7 @@ from contextlib import suppress
 from enum import IntEnum
 from typing import Protocol
 
-from attrs import define, field
+from attrs import define, field, frozen
 
 from uoarm._control import Connection
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError, UsageError
@@ -365,18 +365,13 @@ class StreamRunner:
             self._backend.leave(feed)
 
 
+@frozen(eq=False)
 class _Part:
     """Listens to one output."""
 
-    def __init__(
-        self,
-        name: str,
-        on_message: Callable[[str, Message], None],
-        ended: Callable[[str, str], None],
-    ) -> None:
-        self._name = name
-        self._receive = on_message
-        self.ended = ended
+    _name: str
+    _receive: Callable[[str, Message], None]
+    ended: Callable[[str, str], None]
 
     def offer(self, envelope: Envelope) -> None:
         """Pass one message on."""

@@ -19,7 +19,7 @@ from uoarm.model import LeaseHolder, Message, OverflowPolicy, QueuePolicy, Valid
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server.streams._feed import Feed, FeedKey
 from uoarm.server.streams._feed_registry import FeedRegistry
-from uoarm.server.streams._input_sender import Done, InputSender, read_message
+from uoarm.server.streams._input_sender import InputSender, read_message
 from uoarm.server.streams._outbox import Lane
 from uoarm.server.streams._pending_feeds import OnAbsent
 from uoarm.server.streams._subscription import MessageForm, Subscriber, Subscription, Throttle
@@ -40,6 +40,10 @@ class Stream:
     connection: Connection
     feed: Feed
     subscription: Subscription
+
+    def begin(self) -> None:
+        """Let its messages come, first those that wait."""
+        self.subscription.begin(self.feed)
 
     @property
     def number(self) -> int | None:
@@ -90,7 +94,7 @@ class ClientStreams:
     async def open(
         self, wanted: FeedKey, options: Mapping[str, Any], on_absent: OnAbsent
     ) -> Stream:
-        """Open a function. Its messages wait until `begin`.
+        """Open a function. Its messages wait until `Stream.begin`.
 
         Args:
             wanted: the function.
@@ -157,10 +161,6 @@ class ClientStreams:
             text = f"{wanted.name!r} could not be had within {seconds:g} s: {last[0]}"
             raise BridgeTimeoutError(text) from None
 
-    def begin(self, stream: Stream) -> None:
-        """Let the messages of a stream come, first those that wait."""
-        stream.subscription.begin(stream.feed)
-
     def own(self, identity: str) -> Stream:
         """Return the client's stream of a connection.
 
@@ -172,26 +172,8 @@ class ClientStreams:
             raise UnknownError(f"this client has no connection {identity[:100]!r}")
         return stream
 
-    def send(
-        self,
-        stream: Stream,
-        message: Message,
-        port: str | None,
-        done: Done,
-        octets: int,
-        *,
-        take_over: bool = False,
-        age: float = 0.0,
-    ) -> None:
-        """Hand one message to an input; raises as `InputSender.send`."""
-        sending = self._sending(stream)
-        sending.send(message, port, done, octets, take_over=take_over, age=age)
-
-    def stop(self, stream: Stream, port: str | None, done: Done) -> None:
-        """Stop an input; raises as `InputSender.stop`."""
-        self._sending(stream).stop(port, done)
-
-    def _sending(self, stream: Stream) -> InputSender:
+    def sender(self, stream: Stream) -> InputSender:
+        """Return what hands messages to the inputs of a stream, and stops them."""
         identity = stream.connection.id
         sending = self._sendings.get(identity)
         if sending is None:

@@ -251,6 +251,9 @@ class Feed:
 
     Attributes:
         encoder: as it was given.
+        number: messages received so far.
+        handed: the number of the last message that was handed out, or is being written for that.
+        is_writing: whether the last of these is being written still.
         connection: the one whose messages these are; None until it is open.
         lost: messages lost before the loop got to them.
         end: state and cause, once no more will come.
@@ -272,18 +275,18 @@ class Feed:
         # without a lock: a side that finds it empty was overtaken by the other, which is no error
         # (`_next`, `_lose_oldest`).
         self._waiting: deque[Envelope] = deque()
-        self._number = 0
+        self.number = 0
         # Set with a request for a turn of the loop, cleared at the start of that turn, before
         # anything is taken: a message that comes after that asks again, so that none stays until
         # the next one.
         self._pending = False
-        self._is_writing = False
+        self.is_writing = False
         self._is_done = False
         self._listeners: dict[Listener, _Place] = {}
         # Changed by the thread in which messages come; `add` copies it in the loop, in one step.
         self._known: list[tuple[int, Message]] = []  # what may stand, with its number
         self._most_known = 0
-        self._handed = 0  # the number of the last message that was taken to be handed out
+        self.handed = 0
         self._listened_since = 0.0
         self._backlog = FeedBacklog()
         self.connection: Connection | None = None
@@ -291,27 +294,12 @@ class Feed:
         self.end: tuple[str, str] | None = None
 
     @property
-    def number(self) -> int:
-        """Messages received so far."""
-        return self._number
-
-    @property
-    def handed(self) -> int:
-        """The number of the last message that was handed out, or is being written for that."""
-        return self._handed
-
-    @property
-    def is_writing(self) -> bool:
-        """Whether the last of these is being written still."""
-        return self._is_writing
-
-    @property
     def before_newcomer(self) -> int:
         """The number of the message before the first one of a listener that joins now."""
         with suppress(IndexError):  # the first one gets what waits, if anything does
             if not self._listeners:
-                return max(self._handed, self._waiting[0].number - 1)
-        return self._handed
+                return max(self.handed, self._waiting[0].number - 1)
+        return self.handed
 
     @property
     def outlet(self) -> Outlet | None:
@@ -326,19 +314,19 @@ class Feed:
 
     def take(self, message: Message) -> None:
         """Take one message in the thread in which it came. Waits for nothing."""
-        self._number += 1
+        self.number += 1
         # Most outputs retain nothing: then there is nothing to remember.
         outlet = self.outlet
         if outlet is None or outlet.retains is not False:
-            self._remember(self._number, message)
+            self._remember(self.number, message)
         elif self._known:  # it was being opened when these came
             self._known = []
         # Remembered before it can be handed out: a client that joins in between finds its number.
-        self._waiting.append(Envelope(self._number, message, came=self._clock()))
+        self._waiting.append(Envelope(self.number, message, came=self._clock()))
         if len(self._waiting) > self._limits.feed_messages:
             self._lose_oldest()
         elif len(self._waiting) == _UNCOUNTED + 1 or (
-            len(self._waiting) > _UNCOUNTED and self._number % _UNCOUNTED == 0
+            len(self._waiting) > _UNCOUNTED and self.number % _UNCOUNTED == 0
         ):
             # Octets are counted at every 16th message only, so at most 15 large ones exceed the
             # bound.
@@ -399,11 +387,11 @@ class Feed:
         if not self._listeners:
             # Before the place is made, with whose first number messages are compared.
             self._listened_since = self._clock()  # no client was late for what waited for the first
-        self._listeners[listener] = _Place(prepare, missed, self._handed + 1)
+        self._listeners[listener] = _Place(prepare, missed, self.handed + 1)
         # From the newest to the oldest, each put before the others: they end in order, before all
         # that waits, and no client gets a latched message after a newer one.
         for number, message in reversed(_of_those(tuple(self._known), self._standing())):
-            if number <= self._handed:  # others are on their way to all
+            if number <= self.handed:  # others are on their way to all
                 envelope = Envelope(number, message, came=self._clock(), joiner=listener)
                 self._waiting.appendleft(envelope)
         # A client that joins after the end gets the end, in this call: no other call follows.
@@ -457,7 +445,7 @@ class Feed:
         """Hand out the last messages, then notify of the end."""
         while self._hand_next():
             pass
-        if self._is_writing or self._is_done or not self._listeners:
+        if self.is_writing or self._is_done or not self._listeners:
             return
         assert self.end is not None, "nothing is the last before the end"
         # Before listeners are notified: one of them may remove itself or join another feed in
@@ -467,7 +455,7 @@ class Feed:
             _end(listener, *self.end)
 
     def _can_hand(self) -> bool:
-        return bool(self._waiting and self._listeners) and not self._is_writing
+        return bool(self._waiting and self._listeners) and not self.is_writing
 
     def _hand_next(self) -> bool:
         """Hand out one message, or have it written first; False when none can be handed out."""
@@ -491,7 +479,7 @@ class Feed:
         # Everything behind waits, also for clients of a form that is written: messages stay in
         # order.
         if writing:
-            self._is_writing = True
+            self.is_writing = True
             asyncio.gather(*writing).add_done_callback(lambda _: self._written(envelope))
         return bool(writing)
 
@@ -506,7 +494,7 @@ class Feed:
             return envelope
         # From here on who joins does not get this one from what stands: it is on its way to all,
         # and would come twice.
-        self._handed = envelope.number
+        self.handed = envelope.number
         # What waited for the first client is not late for it.
         came = max(envelope.came, self._listened_since)
         envelope.is_late = self._backlog.lets_go(waiting, came, self._clock())
@@ -526,7 +514,7 @@ class Feed:
 
     # In the loop, after the encoder's thread. The listeners are looked up again: some have gone.
     def _written(self, envelope: Envelope) -> None:
-        self._is_writing = False
+        self.is_writing = False
         self._hand_one(envelope)
         self._hand_out()
 

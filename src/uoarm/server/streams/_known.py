@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
-from attrs import define
+from attrs import define, field
 
 from uoarm.errors import UoarmError
 from uoarm.model import MessageStructure, Plan
@@ -108,6 +108,7 @@ _log = logging.getLogger("uoarm.server")
 InWorker: TypeAlias = Callable[[Callable[[], Any]], Awaitable[Any]]
 
 
+@define(eq=False)
 class KnownTypes:
     """Structures by the name of the type, in the loop's thread; that there is none is kept too.
 
@@ -117,17 +118,11 @@ class KnownTypes:
         bridges: those of the configuration in force; others know other types.
     """
 
-    def __init__(
-        self,
-        find: Callable[[str], MessageStructure | None],
-        in_worker: InWorker,
-        bridges: Callable[[], object],
-    ) -> None:
-        self._find = find
-        self._in_worker = in_worker
-        self._bridges = bridges
-        self._asked: object = None
-        self._entries: dict[str, asyncio.Task[MessageStructure | None]] = {}
+    _find: Callable[[str], MessageStructure | None]
+    _in_worker: InWorker
+    _bridges: Callable[[], object]
+    _asked: object = field(default=None, init=False)
+    _entries: dict[str, asyncio.Task[MessageStructure | None]] = field(factory=dict, init=False)
 
     async def of(self, name: str) -> MessageStructure | None:
         """Return the structure of a type; who asks beside another waits for the same answer."""

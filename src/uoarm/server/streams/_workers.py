@@ -460,7 +460,7 @@ class SharedViews:
             BusyError: the server is closing.
         """
         if self._pool.closed:
-            raise BusyError("the server is closing")
+            raise _closing()
         future: asyncio.Future[A] = asyncio.get_running_loop().create_future()
         with self._lock:
             # Under the lock with the question: two that ask at once must not both find it there
@@ -479,8 +479,7 @@ class SharedViews:
         with self._lock:
             asked, self._asked = self._asked, {}
         for questions in asked.values():
-            error = BusyError("the server is closing")
-            self._take(questions, dict.fromkeys(questions, error))
+            self._take(questions, dict.fromkeys(questions, _closing()))
 
     def _make(self, make: Make[Any, Any]) -> None:
         # Before the look at the robot: what is asked from here on waits for the next view.
@@ -515,11 +514,6 @@ class SharedViews:
         """Wake some of those who wait, and the others in the loop's next turns."""
         for _ in range(min(_AT_ONCE, len(self._answered))):
             future, answer = self._answered.popleft()
-            if future.done():  # its client has gone
-                continue
-            if isinstance(answer, BaseException):
-                future.set_exception(answer)
-            else:
-                future.set_result(answer)
+            settle(future, answer, answer if isinstance(answer, BaseException) else None)
         if self._answered:
             asyncio.get_running_loop().call_soon(self._hand_out)
