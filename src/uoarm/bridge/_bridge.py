@@ -369,6 +369,11 @@ class Bridge(BridgeSteps):
         if failures:
             raise failures[0]
 
+    @final
+    def report_channel(self, channel: Channel, health: Health, cause: str) -> None:
+        """Report a change of a channel, as `report` does; for channels, which are given it."""
+        self.report(health, cause, channel=channel)
+
     def report(
         self,
         health: Health,

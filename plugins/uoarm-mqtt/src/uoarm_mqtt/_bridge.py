@@ -20,7 +20,7 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
+from uoarm.model import Endpoint, Message, MessageStructure, Role
 from uoarm_mqtt._channels import MqttSink, MqttSource, ServedTopic, ServiceCalls
 from uoarm_mqtt._codec import PayloadCodec, limits_of, with_topic, without_topic
 from uoarm_mqtt._discovery import (
@@ -75,7 +75,7 @@ class MqttBridge(Bridge):
         codec = PayloadCodec.of(options.content, inner, self._broker.options.budget)
         topic = endpoint.address[0]
         return MqttSource(
-            endpoint, topic, options, codec, self._broker, deliver, self._report_channel
+            endpoint, topic, options, codec, self._broker, deliver, self.report_channel
         )
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -84,7 +84,7 @@ class MqttBridge(Bridge):
         self._require_there(endpoint, options)
         codec = PayloadCodec(options.content, self._broker.options.budget)
         return MqttSink(
-            endpoint, endpoint.address[0], options, codec, self._broker, self._report_channel
+            endpoint, endpoint.address[0], options, codec, self._broker, self.report_channel
         )
 
     def _call(
@@ -176,6 +176,3 @@ class MqttBridge(Bridge):
             except BridgeError:
                 continue
         return None
-
-    def _report_channel(self, channel: Channel, health: Health, cause: str) -> None:
-        self.report(health, cause, channel=channel)

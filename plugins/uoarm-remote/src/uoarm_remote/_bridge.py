@@ -9,7 +9,6 @@ from typing import Any
 from uoarm.bridge import (
     Bridge,
     Capabilities,
-    Channel,
     Delivery,
     Description,
     Discovered,
@@ -57,13 +56,15 @@ class RemoteManagerBridge(Bridge):
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
     ) -> Source:
         options = _options(endpoint)
-        source = FunctionSource(endpoint, structure, options, self._other, deliver, self._report)
+        source = FunctionSource(
+            endpoint, structure, options, self._other, deliver, self.report_channel
+        )
         source.open(self._streams, self._given.timeout)
         return source
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         options = _options(endpoint)
-        sink = FunctionSink(endpoint, structure, options, self._other, self._report)
+        sink = FunctionSink(endpoint, structure, options, self._other, self.report_channel)
         sink.open(self._streams, self._given.timeout)
         return sink
 
@@ -114,9 +115,6 @@ class RemoteManagerBridge(Bridge):
     def _restarted(self) -> None:
         """Have described again what is not open: it may have another structure now."""
         self.report(Health.OK, "the other manager has begun anew")
-
-    def _report(self, channel: Channel, health: Health, cause: str) -> None:
-        self.report(health, cause, channel=channel)
 
 
 def _outcome(report: Mapping[str, Any]) -> StopOutcome:

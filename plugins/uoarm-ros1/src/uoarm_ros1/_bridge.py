@@ -335,7 +335,7 @@ class Ros1Bridge(Bridge):
                 kinds,
                 handler,
                 port.at_once,
-                self._report_channel,
+                self.report_channel,
             )
         kind = self._types.require_service(address.type, port.definition)
         return ServedService(endpoint, self._node, name, kind, handler, port.at_once)
@@ -376,10 +376,7 @@ class Ros1Bridge(Bridge):
     def _place(self, endpoint: Endpoint, topic: str, port: Ros1Options) -> TopicPlace:
         wait = self._options.wait if port.wait is None else port.wait
         clock: Callable[[], float] = time.monotonic if self._clock is None else self._clock.now
-        return TopicPlace(self._node, endpoint, topic, port, wait, self._report_channel, clock)
-
-    def _report_channel(self, channel: Channel, health: Health, cause: str) -> None:
-        self.report(health, cause, channel=channel)
+        return TopicPlace(self._node, endpoint, topic, port, wait, self.report_channel, clock)
 
     def _opened_at(self, channel: C) -> C:
         with self._table_lock:

@@ -310,7 +310,7 @@ class Ros2Bridge(Bridge):
         with self._managed.leased(endpoint, options) as leased:
             if address.kind == ACTION:
                 action = self._reachable(address, leased.options)
-                source = ActionSource(endpoint, action, address.part, deliver, self._report_channel)
+                source = ActionSource(endpoint, action, address.part, deliver, self.report_channel)
                 return leased.until_closed(source)
             context = self._topic_context(endpoint, address, leased.options)
             shown = structure_of(shape_of(context.native, context.topic.type))
@@ -371,7 +371,7 @@ class Ros2Bridge(Bridge):
         name = self._runner.service_name(address.name)
         kind = OfferedCall if address.kind == ACTION else ServiceServer
         runner, at_once = self._shared.replies(), options.at_once
-        return kind(runner, endpoint, name, address.type, handler, at_once, self._report_channel)
+        return kind(runner, endpoint, name, address.type, handler, at_once, self.report_channel)
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         wanted = [
@@ -447,7 +447,7 @@ class Ros2Bridge(Bridge):
             options,
             options.policies.for_type(large=large),
             self._options.settle,
-            self._report_channel,
+            self.report_channel,
             self._diagnostics,
             self._clock,
         )
@@ -498,9 +498,6 @@ class Ros2Bridge(Bridge):
         if options.peer_required:
             action.wait(self._graph.limit(options))
         return action
-
-    def _report_channel(self, channel: Channel, health: Health, cause: str) -> None:
-        self.report(health, cause, channel=channel)
 
     def _report_component(self, health: Health, cause: str, component: str) -> None:
         self.report(health, cause, component=component)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from functools import partial
-from typing import Any
 
 from uoarm_mqtt.connection import (
     BrokerConnection,
@@ -105,7 +104,7 @@ class Vda5050Bridge(Bridge):
             codec,
             self._broker,
             deliver,
-            self._report_channel,
+            self.report_channel,
             latched=is_kept or place.topic == "state",
         )
 
@@ -117,7 +116,7 @@ class Vda5050Bridge(Bridge):
         codec = self._codec(place, structure)
         topic = f"{self._topic(place)}/{place.topic}"
         return MqttSink(
-            endpoint, topic, TopicOptions(qos=0), codec, self._broker, self._report_channel
+            endpoint, topic, TopicOptions(qos=0), codec, self._broker, self.report_channel
         )
 
     def _call(
@@ -201,9 +200,6 @@ class Vda5050Bridge(Bridge):
 
     def _topic(self, place: VehicleAddress) -> str:
         return f"{self._prefix}/{place.manufacturer}/{place.serial_number}"
-
-    def _report_channel(self, channel: Any, health: Health, cause: str) -> None:
-        self.report(health, cause, channel=channel)
 
     def _report_vehicle(self, vehicle: Vehicle, health: Health, cause: str) -> None:
         with self._lock:

@@ -61,7 +61,6 @@ class RosbridgeBridge(Bridge):
 
     def __init__(self, name: str, options: ClientOptions) -> None:
         super().__init__(name, options)
-        self._options = options
         access = ServerAccess.of(name, options)
         self._connection = ServerConnection(name, options, access, self.report)
         self._connection.watchers = (self._changed,)
@@ -242,16 +241,14 @@ class RosbridgeBridge(Bridge):
         if address.is_parameter:
             return self._keep(
                 ParameterSource(
-                    endpoint, self._connection, address.name, deliver, self._report_channel
+                    endpoint, self._connection, address.name, deliver, self.report_channel
                 )
             )
         made = self._message_type(endpoint, address)
         self._require_peer(endpoint, address, port)
         topic = _full(address.name)
         return self._keep(
-            TopicSource(
-                endpoint, self._connection, topic, made, port, deliver, self._report_channel
-            )
+            TopicSource(endpoint, self._connection, topic, made, port, deliver, self.report_channel)
         )
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -263,7 +260,7 @@ class RosbridgeBridge(Bridge):
         self._require_peer(endpoint, address, port)
         topic = _full(address.name)
         return self._keep(
-            TopicSink(endpoint, self._connection, topic, made, port, self._report_channel)
+            TopicSink(endpoint, self._connection, topic, made, port, self.report_channel)
         )
 
     def _call(
@@ -340,7 +337,7 @@ class RosbridgeBridge(Bridge):
                 ServedTypes(kinds),
                 handler,
                 port.at_once,
-                self._report_channel,
+                self.report_channel,
             )
         )
 
@@ -359,9 +356,6 @@ class RosbridgeBridge(Bridge):
     def _keep(self, channel: C) -> C:
         self._watch.keep(channel)
         return channel
-
-    def _report_channel(self, channel: Channel, health: Health, cause: str) -> None:
-        self.report(health, cause, channel=channel)
 
     def _changed(self, cause: str) -> None:
         """Take note of a break, or of its end; in the connection's thread."""

@@ -16,7 +16,7 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import BridgeError
-from uoarm.model import Endpoint, Health, Message, MessageStructure
+from uoarm.model import Endpoint, Message, MessageStructure
 from uoarm_example._channels import (
     ExampleLink,
     ExampleService,
@@ -54,7 +54,7 @@ class ExampleBridge(Bridge):
             _options(endpoint),
             self._connection,
             deliver,
-            self._report,
+            self.report_channel,
             latched=is_retained(self._connection, endpoint),
         )
 
@@ -62,7 +62,7 @@ class ExampleBridge(Bridge):
         del structure
         options = _options(endpoint)
         described(self._connection, endpoint)  # refuses what is not there
-        return ExampleSink(endpoint, options, self._connection, self._report)
+        return ExampleSink(endpoint, options, self._connection, self.report_channel)
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
@@ -81,21 +81,18 @@ class ExampleBridge(Bridge):
     ) -> Channel:
         schemas = {"request": structures.request.schema, "reply": structures.reply.schema}
         return ExampleService(
-            endpoint, _options(endpoint), self._connection, handler, self._report, schemas
+            endpoint, _options(endpoint), self._connection, handler, self.report_channel, schemas
         )
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         options = _options(source)
-        return ExampleLink(source, sink, options, self._connection, self._report)
+        return ExampleLink(source, sink, options, self._connection, self.report_channel)
 
     def _discover(self) -> tuple[Discovered, ...]:
         return discovered(self._connection, self.name)
 
     def _close(self) -> None:
         self._connection.close()
-
-    def _report(self, channel: Channel, health: Health, cause: str) -> None:
-        self.report(health, cause, channel=channel)
 
 
 def _options(endpoint: Endpoint) -> ExampleOptions:
