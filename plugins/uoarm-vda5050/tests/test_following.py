@@ -267,10 +267,10 @@ def test_a_schema_that_cannot_be_applied_is_said_to_be() -> None:
 
 
 def test_a_vehicle_that_goes_before_it_is_followed_is_reported() -> None:
-    def nothing(*_: object) -> None:
+    def nothing(*_: object, **__: object) -> None:
         pass
 
-    link: Any = SimpleNamespace(require_up=nothing, subscribe=nothing, barrier=nothing)
+    link: Any = SimpleNamespace(require_up=nothing, subscribe=nothing)
     release, reports = RELEASES["2.1"], list[tuple[str, Health, str]]()
     watch = Presence(link, "uagv/v2", release, 0.0, 1, lambda *one: reports.append(one))
 

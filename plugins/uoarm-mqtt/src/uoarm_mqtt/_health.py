@@ -79,12 +79,7 @@ class RetainedTopic:
 
     def open(self, wait: float) -> None:
         """Subscribe; returns when what is retained has come, or nothing is."""
-        self._link.subscribe(self._receiver)
-        try:
-            self._link.barrier()
-        except BridgeError:
-            self._link.unsubscribe(self._receiver)
-            raise
+        self._link.subscribe(self._receiver, settled=True)
         # Mosquitto sends what is retained before it answers; others may be later.
         self._came.wait(wait)
 

@@ -196,8 +196,10 @@ class BrokerConnection:
                 text = f"bridge {self.name!r}: no connection to the broker at {where}: {cause}"
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
 
-    def subscribe(self, receiver: Receiver) -> None:
+    def subscribe(self, receiver: Receiver, *, settled: bool = False) -> None:
         """Subscribe for a receiver; returns when the broker has said yes.
+
+        With `settled`, when it has sent what is retained, where it sends that before it answers.
 
         Raises:
             BridgeError: the broker refuses, or the link is not up.
@@ -208,6 +210,8 @@ class BrokerConnection:
         try:
             what = f"subscribing to {receiver.topic}"
             self._wait("s", what, lambda: self._subscribe(receiver, qos))
+            if settled:
+                self.barrier()
         except BridgeError:
             self.unsubscribe(receiver)
             raise

@@ -63,7 +63,6 @@ class Presence:
         on_health: Callable[[str, Health, str], object],
     ) -> None:
         self._link, self._wait, self._most, self._on_health = link, wait, most, on_health
-        self._release = release
         body = body_of("connection", release.name)
         self._codec = VdaCodec.reading(
             body, _SMALL, release=release, topic="connection", check=check_of(body.schema)
@@ -116,12 +115,7 @@ class Presence:
         with self._opening:
             if self._is_open:
                 return
-            self._link.subscribe(self._receiver)
-            try:
-                self._link.barrier()
-            except BridgeError:
-                self._link.unsubscribe(self._receiver)
-                raise
+            self._link.subscribe(self._receiver, settled=True)
             self._is_open = True
         # Mosquitto sends what is retained before it answers; others may be later.
         self._came.wait(self._wait)
