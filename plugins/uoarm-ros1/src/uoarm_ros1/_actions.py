@@ -21,7 +21,7 @@ from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Ros1Address, Ros1Options
 from uoarm_ros1._publication import TopicPublication
-from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, TopicSubscription
+from uoarm_ros1._subscription import PublisherHeader, TopicSubscription
 from uoarm_ros1._types import ActionType, TypeStore, framed_writer, reader
 
 __all__ = ["ActionCaller", "ServedAction", "described_action"]
@@ -36,7 +36,6 @@ _WORDS = {
     LOST: "lost",
 }
 _GOAL_ID, _STATUS_ARRAY = "actionlib_msgs/GoalID", "actionlib_msgs/GoalStatusArray"
-_WAIT_SECONDS = 2.0
 _STATUS_SECONDS = 0.2
 _KEEP_SECONDS = 5.0
 _MOST_GOALS = 256
@@ -142,14 +141,7 @@ class ActionCaller:
         self._goals: dict[str, _Goal] = {}
         self._numbers = count(1)
         self._subscription = TopicSubscription(
-            SubscriptionOptions(
-                node.name,
-                f"{name}/result",
-                kinds.result.name,
-                kinds.result.md5,
-                most=budget.octets,
-                silence=node.options.silence,
-            ),
+            node.wanted(f"{name}/result", kinds.result),
             self._take_result,
             lambda _: None,
             self._went,
@@ -328,14 +320,7 @@ class ServedAction(Channel):
                 ("goal", kinds.goal, self._take_goal),
                 ("cancel", goal_id, self._take_cancel),
             ):
-                wanted = SubscriptionOptions(
-                    node.name,
-                    f"{name}/{part}",
-                    kind.name,
-                    kind.md5,
-                    most=budget.octets,
-                    silence=node.options.silence,
-                )
+                wanted = node.wanted(f"{name}/{part}", kind)
                 made = TopicSubscription(wanted, take, _ignore_header, _ignore_end)
                 self._subscriptions.append(made)
                 node.subscribe(made)

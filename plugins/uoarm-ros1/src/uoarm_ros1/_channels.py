@@ -74,19 +74,11 @@ class TopicPlace:
         )
         return ChannelMonitor(health, report, self.clock)
 
-    def wanted(self, record: RosRecord | None) -> SubscriptionOptions:
+    def wanted(self, record: RosRecord) -> SubscriptionOptions:
         """Return what a subscription here takes."""
-        options, node = self.node.options, self.port.node
-        return SubscriptionOptions(
-            self.node.name,
-            self.topic,
-            "" if record is None else record.name,
-            "" if record is None else record.md5,
-            self.node.resolve(node) if node else "",
-            options.budget.octets,
-            options.silence,
-            self.port.nodelay,
-        )
+        publisher = self.node.resolve(self.port.node) if self.port.node else ""
+        wanted = self.node.wanted(self.topic, record)
+        return evolve(wanted, node=publisher, nodelay=self.port.nodelay)
 
 
 class _Subscribed:

@@ -145,6 +145,18 @@ class Node:
         self._unregister("publisher", topic)
         publication.close()
 
+    def wanted(self, topic: str, record: RosRecord) -> SubscriptionOptions:
+        """Return what a subscription of this node takes of any publisher of a topic."""
+        options = self.options
+        return SubscriptionOptions(
+            self.name,
+            topic,
+            record.name,
+            record.md5,
+            most=options.budget.octets,
+            silence=options.silence,
+        )
+
     def subscribe(self, subscription: TopicSubscription) -> None:
         """Connect a subscription to the publishers of its topic, from now on.
 

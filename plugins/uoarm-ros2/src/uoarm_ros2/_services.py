@@ -106,7 +106,6 @@ def _otherwise(server: Peer, own: Peer | None) -> str:
 
 _FIRST_GLANCE_SECONDS = 0.005
 _GLANCE_SECONDS = 0.25
-_MOST_WAITING = 256
 _log = logging.getLogger("uoarm.ros2")
 
 

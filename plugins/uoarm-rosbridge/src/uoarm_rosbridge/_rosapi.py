@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import orjson
 
 from uoarm import __version__
-from uoarm.errors import UoarmError, UsageError
+from uoarm.errors import UoarmError
 from uoarm.model import Message, MessageStructure, Robot
 from uoarm.server.front_end import Backend, Client, Operation, UnknownError
 from uoarm_rosbridge._hub import Hub
@@ -27,6 +27,7 @@ from uoarm_rosbridge._rosapi_answers import (
     RosapiAnswers,
     arguments_by_name,
     question,
+    text_of,
 )
 from uoarm_rosbridge._wire import clock_now
 
@@ -171,7 +172,7 @@ class Rosapi:
     def _set_param(self, arguments: Arguments) -> dict[str, Any]:
         name = self._changeable(arguments)
         owner = self._role.name, self._client.address.rpartition(":")[0]
-        self._hub.parameters.set(name, _text(arguments, "value"), owner)
+        self._hub.parameters.set(name, text_of(arguments, "value"), owner)
         return _outcome(done=True)
 
     def _delete_param(self, arguments: Arguments) -> dict[str, Any]:
@@ -182,12 +183,12 @@ class Rosapi:
 
     def _parameter(self, arguments: Arguments) -> str | None:
         """Return the JSON text of a parameter that is there for this client."""
-        name = find_place(_text(arguments, "name")).name
+        name = find_place(text_of(arguments, "name")).name
         may = self._role.allows(Operation.SEE, name)
         return self._hub.parameters.get(name) if may else None
 
     def _changeable(self, arguments: Arguments) -> str:
-        place = find_place(_text(arguments, "name"))
+        place = find_place(text_of(arguments, "name"))
         self._client.require(Operation.SEND, place.right)
         return place.name
 
@@ -195,10 +196,3 @@ class Rosapi:
 def _outcome(*, done: bool) -> dict[str, Any]:
     """Say how it went, in the fields of rosapi for ROS 2; that of ROS 1 has none."""
     return {"successful": done, "reason": "" if done else "there is no such parameter"}
-
-
-def _text(arguments: Arguments, name: str) -> str:
-    value = arguments.get(name)
-    if not isinstance(value, str):
-        raise UsageError(f"expected a text as {name!r}")
-    return value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
@@ -33,6 +33,7 @@ __all__ = [
     "RosapiAnswers",
     "arguments_by_name",
     "question",
+    "text_of",
 ]
 
 PREFIX = "/rosapi/"
@@ -206,7 +207,7 @@ class RosapiAnswers:
         return {**found, "typedefs_full_text": [texts[kind] for kind in found["types"]]}
 
     def _topics_for_type(self, arguments: Arguments) -> dict[str, Any]:
-        kind, found = _text(arguments, "type"), self._all_topics
+        kind, found = text_of(arguments, "type"), self._all_topics
         return {"topics": [name for name, value in found.items() if is_same_type(value, kind)]}
 
     def _topic_type(self, arguments: Arguments) -> dict[str, Any]:
@@ -222,40 +223,39 @@ class RosapiAnswers:
         return {"type": found.get(topic, "")}
 
     def _publishers(self, arguments: Arguments) -> dict[str, Any]:
-        topic = _name(arguments, "topic")
-        found = [
-            f"/{component.name}"
-            for f, component in self._parts
-            if _means(topic, f, _given(component))
-        ]
-        return {"publishers": found + self._by_clients(topic, self._hub.published)}
+        return {"publishers": self._nodes_at(arguments, _given, self._hub.published)}
 
     def _subscribers(self, arguments: Arguments) -> dict[str, Any]:
+        return {"subscribers": self._nodes_at(arguments, _fed, self._hub.subscribed)}
+
+    def _nodes_at(
+        self, arguments: Arguments, ports: Callable[[Component], list[str]], of_clients: list[str]
+    ) -> list[str]:
         topic = _name(arguments, "topic")
-        found = [
+        own = [
             f"/{component.name}"
-            for f, component in self._parts
-            if _means(topic, f, _fed(component))
+            for function, component in self._parts
+            if _means(topic, function, ports(component))
         ]
-        return {"subscribers": found + self._by_clients(topic, self._hub.subscribed)}
+        return own + self._by_clients(topic, of_clients)
 
     def _services(self, arguments: Arguments) -> dict[str, Any]:
         del arguments
         return {"services": list(self._all_services)}
 
     def _services_for_type(self, arguments: Arguments) -> dict[str, Any]:
-        kind, found = _text(arguments, "type"), self._all_services
+        kind, found = text_of(arguments, "type"), self._all_services
         return {"services": [name for name, value in found.items() if is_same_type(value, kind)]}
 
     def _service_type(self, arguments: Arguments) -> dict[str, Any]:
-        return {"type": (self._all_services).get(_name(arguments, "service"), "")}
+        return {"type": self._all_services.get(_name(arguments, "service"), "")}
 
     def _service_node(self, arguments: Arguments) -> dict[str, Any]:
         return {"node": next(iter(self._nodes_of(_name(arguments, "service"))), "")}
 
     def _service_providers(self, arguments: Arguments) -> dict[str, Any]:
         """Name the nodes with a service of a type; of a service, where that is what is named."""
-        kind, services = _text(arguments, "service"), self._all_services
+        kind, services = text_of(arguments, "service"), self._all_services
         name = _name(arguments, "service")
         names = (
             [name] if name in services else [n for n in services if is_same_type(services[n], kind)]
@@ -289,12 +289,12 @@ class RosapiAnswers:
     def _interfaces(self, arguments: Arguments) -> dict[str, Any]:
         """Name the types that this robot and the clients speak; what is installed is not listed."""
         del arguments
-        found = {*(self._all_topics).values(), *(self._all_services).values()}
+        found = {*self._all_topics.values(), *self._all_services.values()}
         found |= {self._type_of_action(name) for name in self._all_actions()}
         return {"interfaces": sorted(found - {""})}
 
     def _message_details(self, arguments: Arguments) -> dict[str, Any]:
-        kind = _text(arguments, "type")
+        kind = text_of(arguments, "type")
         if kind in BASIC:
             return {"typedefs": []}
         known = [
@@ -310,10 +310,10 @@ class RosapiAnswers:
         return {"typedefs": _found(installed or next(filter(None, parts), None), "type", kind)}
 
     def _service_request_details(self, arguments: Arguments) -> dict[str, Any]:
-        return self._details(_text(arguments, "type"), "request")
+        return self._details(text_of(arguments, "type"), "request")
 
     def _service_response_details(self, arguments: Arguments) -> dict[str, Any]:
-        return self._details(_text(arguments, "type"), "reply")
+        return self._details(text_of(arguments, "type"), "reply")
 
     def _action_servers(self, arguments: Arguments) -> dict[str, Any]:
         """Name what takes goals: actions, and services as actions without feedback."""
@@ -324,13 +324,13 @@ class RosapiAnswers:
         return {"type": self._type_of_action(_name(arguments, "action"))}
 
     def _action_goal_details(self, arguments: Arguments) -> dict[str, Any]:
-        return self._part_of_action(_text(arguments, "type"), "_Goal")
+        return self._part_of_action(text_of(arguments, "type"), "_Goal")
 
     def _action_result_details(self, arguments: Arguments) -> dict[str, Any]:
-        return self._part_of_action(_text(arguments, "type"), "_Result")
+        return self._part_of_action(text_of(arguments, "type"), "_Result")
 
     def _action_feedback_details(self, arguments: Arguments) -> dict[str, Any]:
-        return self._part_of_action(_text(arguments, "type"), "_Feedback")
+        return self._part_of_action(text_of(arguments, "type"), "_Feedback")
 
     def _get_param_names(self, arguments: Arguments) -> dict[str, Any]:
         del arguments
@@ -508,10 +508,11 @@ def _found(structure: MessageStructure | None, what: str, kind: str) -> list[dic
 
 def _name(arguments: Arguments, field: str) -> str:
     """Return the name of a topic, a service or a node; a missing leading slash is added."""
-    return f"/{_text(arguments, field).lstrip('/')}"
+    return f"/{text_of(arguments, field).lstrip('/')}"
 
 
-def _text(arguments: Arguments, name: str) -> str:
+def text_of(arguments: Arguments, name: str) -> str:
+    """Return an argument that is a text; raises UsageError."""
     value = arguments.get(name)
     if not isinstance(value, str):
         raise UsageError(f"expected a text as {name!r}")

@@ -135,7 +135,7 @@ class ActionlibCaller:
     """
 
     def __init__(self, connection: ServerConnection, name: str, types: ActionlibTypes) -> None:
-        self._connection, self.name, self._types = connection, name, types
+        self._connection, self.name = connection, name
         self._read_result, self._read_status = reader(types.result), reader(types.status)
         self._write = writer(types.request())
         # Guards the goals under way, between those who call and the connection's thread.

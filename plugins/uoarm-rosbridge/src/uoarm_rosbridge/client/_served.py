@@ -61,9 +61,8 @@ class _Served(Channel):
         report: Report,
     ) -> None:
         super().__init__(endpoint)
-        self.name, self._kind = name, kind
+        self.name, self._types = name, types
         self._connection, self._handler, self._report = connection, handler, report
-        self._types = types
         self._requests: ServedRequests[ServedRequest] = ServedRequests(
             f"{self.what} {name}", self._handle, self._refuse, at_once, partial(report, self)
         )
