@@ -7,7 +7,6 @@ they ask us. Over a native link the components move the data, and we only check 
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -29,7 +28,7 @@ from uoarm_rtm._options import (
     says_what_empty_means,
 )
 from uoarm_rtm._orb import CallGuard, calls, corba_text, deliveries, limit, narrowed
-from uoarm_rtm._peer import PeerComponent, PeerPort, connector_properties
+from uoarm_rtm._peer import Connector, PeerComponent, PeerPort, connector_properties
 from uoarm_rtm._shape import BIG, LITTLE
 from uoarm_rtm._types import Types
 
@@ -103,7 +102,18 @@ def _event(
     return evolve(port, data_type=address.type)
 
 
-_log = logging.getLogger("uoarm.rtm")
+def _reached(
+    remote: RemotePort, connector: Connector, key: str, interface: Any, seconds: float
+) -> Any:
+    """Return the object that a port published; without it nothing stays connected."""
+    ior = connector.published(key)
+    try:
+        what = f"{remote.where}: its {interface.__name__}"
+        target = narrowed(remote.orb.reference(ior), interface, remote.seconds, what)
+        return limit(target, seconds)
+    except BridgeError:
+        connector.disconnect()
+        raise
 
 
 class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, without annotations
@@ -188,17 +198,9 @@ class OutPortSource(Source):
     def _begin_pulling(self) -> None:
         remote = self._remote
         requested = remote.options.requested_properties
-        ior = self._connector.published(OUTPORT_IOR)
-        what = f"{remote.where}: its OutPortCdr"
-        try:
-            target = narrowed(remote.orb.reference(ior), OpenRTM.OutPortCdr, remote.seconds, what)
-            self._longest += buffer_policy(requested, "outport").longest_read
-            limit(target, self._longest)
-        except BridgeError:
-            self._connector.disconnect()
-            raise
+        self._longest += buffer_policy(requested, "outport").longest_read
         self._puller = Puller(
-            target,
+            _reached(remote, self._connector, OUTPORT_IOR, OpenRTM.OutPortCdr, self._longest),
             remote.options.rate,
             repeats=says_what_empty_means(requested),
             take=self.receive,
@@ -266,7 +268,8 @@ class InPortSink(Sink):
         try:
             self._connector = remote.connections.connect(remote.where, properties, remote.port)
             if not pulls:
-                self._target = self._reach()
+                inlet = INPORT_IOR, OpenRTM.InPortCdr
+                self._target = _reached(remote, self._connector, *inlet, self._longest)
         except BridgeError:
             self._withdraw()
             raise
@@ -375,17 +378,6 @@ class InPortSink(Sink):
             reason = _REASONS.get(str(status), "it said so")
             text = f"{self._remote.where} refused a message: {status} ({reason})"
             raise BridgeError(text, FailureReason.REFUSED)
-
-    def _reach(self) -> Any:
-        remote = self._remote
-        ior = self._connector.published(INPORT_IOR)
-        try:
-            what = f"{remote.where}: its InPortCdr"
-            target = narrowed(remote.orb.reference(ior), OpenRTM.InPortCdr, remote.seconds, what)
-            return limit(target, self._longest)
-        except BridgeError:
-            self._connector.disconnect()
-            raise
 
     def _close(self) -> None:
         self._is_released = True

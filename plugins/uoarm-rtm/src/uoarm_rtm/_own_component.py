@@ -70,19 +70,6 @@ class _OwnSink(Sink):
         self._own.component.remove_port(self._port)
 
 
-class _OwnService(Channel):
-    """A CorbaPort of ours that provides an interface."""
-
-    def __init__(self, own: OwnComponent, endpoint: Endpoint, port: ServicePort) -> None:
-        super().__init__(endpoint)
-        self._own = own
-        self._port = port
-        own.component.add_port(port)
-
-    def _close(self) -> None:
-        self._own.component.remove_port(self._port)
-
-
 class OwnComponent:
     """The component of a bridge: made, bound and activated with its first port.
 
@@ -155,7 +142,8 @@ class OwnComponent:
             kind=options.interface,
             idl=idl,
         )
-        return _OwnService(self, endpoint, port)
+        self.component.add_port(port)
+        return Channel(endpoint, lambda: self.component.remove_port(port))
 
     def tick(self) -> None:
         """Bind the name again where a naming service has forgotten it; nothing once closed."""
