@@ -456,5 +456,6 @@ def test_one_that_answers_no_ping_is_cut_off_without_a_close_frame(
         with suppress(ConnectionError):
             while part := plain.recv(65536):
                 came += part
-        assert frame(b"", Opcode.PING)[:1] in came
-        assert Frame(Opcode.CLOSE, b"").serialize(mask=False)[:1] not in came
+        # Behind the hello: pings of four octets at random, which may be those of a close.
+        pings = came[came.index(b"}}") + 2 :]
+        assert set(pings[::6]) == set(frame(b"", Opcode.PING)[:1])
