@@ -13,6 +13,7 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError
 from uoarm_ros1._master import call_api, connect, failure_text
 from uoarm_ros1._publication import keep_alive
@@ -30,7 +31,7 @@ __all__ = ["PublisherHeader", "SubscriptionOptions", "TopicSubscription", "read_
 _CONNECT_SECONDS = 5.0
 _LISTED_SECONDS = 1.0
 _LISTED_LOOK_SECONDS = 0.002
-_RETRY_SECONDS = (0.1, 2.0)
+_BACKOFF = Backoff(first=0.1, most=2.0)
 _MAX_HEADER_OCTETS = 1 << 20
 _ASKED_IN_VAIN = 2
 _MOST_PUBLISHERS = 256
@@ -192,7 +193,7 @@ class _Publisher:
                 connection.shutdown(socket.SHUT_RDWR)
 
     def _run(self) -> None:
-        pause, is_failing = _RETRY_SECONDS[0], False
+        failed = 0  # times in a row that it could not be connected
         while not self._closed.is_set():
             try:
                 cause = self._connect_and_read()
@@ -203,14 +204,13 @@ class _Publisher:
             header, self.failure, self.header = self.header, cause, None
             if self._closed.is_set():
                 break
-            pause = min(2 * pause, _RETRY_SECONDS[1]) if header is None else _RETRY_SECONDS[0]
             name = self.uri if header is None else header.node
             # A node that was killed stays listed, and is tried for ever: it is said once.
-            if header is not None or not is_failing:
+            if header is not None or not failed:
                 self._owner.ended(name, cause, was_connected=header is not None)
-            is_failing = header is None
+            failed = failed + 1 if header is None else 0
             if self.is_listed:
-                self._poked.wait(pause)
+                self._poked.wait(_BACKOFF.pause(failed + 1))
                 self._poked.clear()
             if not self.is_listed:
                 break
@@ -231,7 +231,7 @@ class _Publisher:
                 return ""
             self._await_listing(connection)
             self.header, self.failure = header, ""
-            self._owner.came(self, header)
+            self._owner.came(header)
             return self._read(connection, reader)
 
     def _await_listing(self, connection: socket.socket) -> None:
@@ -388,9 +388,8 @@ class TopicSubscription:
         for publisher in publishers:
             publisher.close()
 
-    def came(self, publisher: _Publisher, header: PublisherHeader) -> None:
+    def came(self, header: PublisherHeader) -> None:
         """Take note of a connection; for its thread."""
-        del publisher
         self._came(header)
         with self._changed:
             self._changed.notify_all()

@@ -172,7 +172,8 @@ class PublisherSink(Sink):
         deadline = time.monotonic() + KEEP_ALL_SECONDS
         while True:
             if self._closed:
-                raise self._gone() from error
+                text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
+                raise BridgeError(text, FailureReason.CLOSED) from error
             if self._context.runner.is_cut_off:
                 self._publish_last(native, native_publisher)
                 return
@@ -194,10 +195,6 @@ class PublisherSink(Sink):
         except OSError as error:
             text = f"topic {self._context.topic.name} takes no message: {error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
-
-    def _gone(self) -> BridgeError:
-        text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
-        return BridgeError(text, FailureReason.CLOSED)
 
     def _close(self) -> None:
         self._publisher.close()

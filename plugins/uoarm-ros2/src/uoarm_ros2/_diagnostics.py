@@ -346,14 +346,10 @@ class DiagnosticsReader:
         with self._lock:
             if self._subscription is None:
                 return
-            recovered = [
-                component
-                for watched in self._entries.values()
-                if watched.refused and not watched.health.says_error(now)
-                for component in watched.refused
-            ]
+            recovered: list[str] = []
             for watched in self._entries.values():
                 if not watched.health.says_error(now):
+                    recovered += watched.refused
                     watched.refused.clear()
             is_awaited = any(watched.health.is_awaited(now) for watched in self._entries.values())
             self._forget_unused(now)
