@@ -94,8 +94,8 @@ attack: $(VENV)/.dev  ## hostile clients against a server of its own, with a wel
 
 mutation: $(VENV)/.dev  ## mutation tests of the schema checker and the reconciler, sampled
 	$(BIN)/python -m pip install --quiet 'mutmut>=3.8' 'pytest<9.2'  # mutmut 3.8 cannot do with 9.2
-	$(BIN)/python bench/mutation.py schema --sample 300
-	$(BIN)/python bench/mutation.py control --sample 300
+	$(BIN)/python -m bench.mutation schema --sample 300
+	$(BIN)/python -m bench.mutation control --sample 300
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "$(PYTHON) is too old: choose Python 3.10 or later, make PYTHON=...")'

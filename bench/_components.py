@@ -27,6 +27,12 @@ class Packet(TypedDict):
     data: Octets
 
 
+class Text(TypedDict):
+    """What is said."""
+
+    text: str
+
+
 class Pair(TypedDict):
     """What is added."""
 
@@ -54,6 +60,11 @@ class Numbers(TypedDict):
 
 def echo(message: Packet) -> Packet:
     """Give back what came."""
+    return message
+
+
+def text(message: Text) -> Text:
+    """Give back what was said."""
     return message
 
 

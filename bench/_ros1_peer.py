@@ -1,7 +1,8 @@
-"""The nodes of rospy that measure relays of ROS 1; run by the Python that has rospy.
+"""What measures rospy and genpy of ROS 1; run by the Python that has them.
 
 python3 _ros1_peer.py relay HERE THERE      a relay as one writes it by hand, until its input ends
 python3 _ros1_peer.py client COUNT          measures relays /here_N to /there_N beside one another
+python3 _ros1_peer.py genpy COUNT OCTETS    microseconds to write and to read a message
 """
 
 # mypy: ignore-errors
@@ -15,6 +16,9 @@ import threading
 import time
 
 import rospy
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from sensor_msgs.msg import Image, Imu, LaserScan
 from std_msgs.msg import UInt8MultiArray
 
 SIZES = {"100 B": 100, "1 KB": 1_000, "1 MB": 1_000_000}
@@ -23,6 +27,7 @@ BURST = {100: 20_000, 1_000: 20_000, 1_000_000: 60}
 BURSTS = 5
 WINDOW = 50
 SILENCE_SECONDS = 20.0
+CODEC_ROUNDS = 300
 
 
 def relay(here, there):
@@ -113,7 +118,42 @@ def client(count):
     os._exit(0)
 
 
+def samples(action, rounds):
+    found = []
+    for _ in range(rounds):
+        begin = time.perf_counter()
+        action()
+        found.append((time.perf_counter() - begin) * 1e6)
+    return sorted(found)
+
+
+def genpy(count, octets):
+    numbers = [index / 7 for index in range(count)]
+    messages = {
+        "Imu": Imu(),
+        "LaserScan, lists": LaserScan(ranges=numbers, intensities=numbers),
+        "Path of 20": Path(poses=[PoseStamped() for _ in range(20)]),
+        "Image": Image(height=480, width=640, step=1920, encoding="rgb8", data=bytes(octets)),
+    }
+    for name, message in messages.items():
+
+        def write(message=message):
+            buffer = io.BytesIO()
+            message.serialize(buffer)
+            return buffer.getvalue()
+
+        written, kind = write(), type(message)
+        found = {
+            "name": name,
+            "write": samples(write, CODEC_ROUNDS),
+            "read": samples(lambda: kind().deserialize(written), CODEC_ROUNDS),  # noqa: B023 - at once
+        }
+        print(json.dumps(found))
+
+
 if sys.argv[1] == "relay":
     relay(*sys.argv[2:])
-else:
+elif sys.argv[1] == "client":
     client(int(sys.argv[2]))
+else:
+    genpy(*map(int, sys.argv[2:]))

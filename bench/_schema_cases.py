@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 Schema = dict[str, object]
 
@@ -106,6 +106,19 @@ def wide(count: int, value: Schema) -> Schema:
 
 def tags(count: int, value: Schema) -> Schema:
     return command(**{f"tag{n}": value for n in range(count)})
+
+
+def zero_message(schema: Any, given: Any = None) -> Any:
+    """Return a message of a structure that is zero where nothing is given."""
+    if schema.get("type") == "object":
+        members = schema["properties"].items()
+        return {key: zero_message(member, (given or {}).get(key)) for key, member in members}
+    if given is not None:
+        return given
+    if schema.get("type") == "array":
+        return [zero_message(schema["items"]) for _ in range(schema.get("minItems", 0))]
+    kinds: dict[object, object] = {"string": "", "boolean": False, "integer": 0}
+    return kinds.get(schema.get("type"), 0.0)
 
 
 _SHORT_HEADER = message(stamp=message(sec=integer(32, signed=True)), frame_id=STRING)

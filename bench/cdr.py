@@ -11,16 +11,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bench._schema_cases import zero_message
+from bench.ros1_relay import PEER, ROS_PYTHON
 from bench.tables import microseconds, print_table, row
 from uoarm.cdr import CORBA, ROS_1, Codec, RosDefinition, structure_of_definition
 
-ROS_PYTHON = "/usr/bin/python3"  # what Debian installs belongs to it alone
-PEER = str(Path(__file__).with_name("_genpy_peer.py"))
 COUNT, OCTETS = 720, 921_600
 ROUNDS = 300
 NUMBERS = [index / 7 for index in range(COUNT)]
@@ -67,20 +66,6 @@ def _values(name: str) -> dict[str, Any]:
     return {}
 
 
-def _message(schema: Any, given: Any) -> Any:
-    """Return a message that is zero where nothing is given."""
-    if schema.get("type") == "object":
-        members = schema["properties"].items()
-        return {key: _message(member, (given or {}).get(key)) for key, member in members}
-    if given is not None:
-        return given
-    if schema.get("type") == "array":
-        fixed = schema.get("minItems", 0)
-        return [_message(schema["items"], None) for _ in range(fixed)]
-    kinds: dict[object, object] = {"string": "", "boolean": False, "integer": 0}
-    return kinds.get(schema.get("type"), 0.0)
-
-
 def _ours(codec: Codec, message: Any) -> tuple[str, Actions]:
     written = codec.encode(message, "<")
     return "uoarm", (lambda: codec.encode(message, "<"), lambda: codec.decode(written, "<"))
@@ -90,8 +75,8 @@ def _made(name: str, codec_of: Callable[[Any], Codec], structure: Any) -> tuple[
     given = _values(name)
     if name.startswith("Path"):
         element = structure.schema["properties"]["poses"]["items"]
-        given = {"poses": [_message(element, None) for _ in range(20)]}
-    return _ours(codec_of(structure), _message(structure.schema, given))
+        given = {"poses": [zero_message(element) for _ in range(20)]}
+    return _ours(codec_of(structure), zero_message(structure.schema, given))
 
 
 def _of_dds() -> Iterator[tuple[str, ...]]:
@@ -164,7 +149,7 @@ def _of_ros_1() -> Iterator[tuple[str, ...]]:
 
 
 def _by_genpy() -> dict[str, Any]:
-    words = [ROS_PYTHON, PEER, str(COUNT), str(OCTETS)]
+    words = [ROS_PYTHON, PEER, "genpy", str(COUNT), str(OCTETS)]
     try:
         done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True, timeout=120)
     except (OSError, subprocess.SubprocessError) as error:
@@ -195,7 +180,7 @@ def _of_corba() -> Iterator[tuple[str, ...]]:
         (f"TimedOctetSeq, {OCTETS:,}", "RTC::TimedOctetSeq", bytes(OCTETS)),
     ):
         structure = types.structure(kind)
-        message = _message(structure.schema, {} if value is None else {"data": value})
+        message = zero_message(structure.schema, {} if value is None else {"data": value})
         made = [_ours(Codec(structure, CORBA), message)]
         code = omniORB.tcInternal.createTypeCode(types.descriptor(kind))
         written = Codec(structure, CORBA).encode(message, "<")

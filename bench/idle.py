@@ -1,7 +1,7 @@
 """What a manager costs while little happens: processor time and wake-ups of its threads.
 
-    python -m bench.idle            the table: each plugin with an open connection
-    python -m bench.idle ros2 mqtt  some of it, with the threads that wake most
+    python -m bench.idle            each plugin with an open connection
+    python -m bench.idle ros2 mqtt  some of it
 
 First nothing happens, then ten times a second a message of some 100 octets comes, or a call of as
 much goes. A loop that turned for nothing would show in one of both. Each manager runs in a process
@@ -11,13 +11,10 @@ waited and was given a processor again.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
 import signal
-import socket
-import subprocess
 import sys
 import tempfile
 import threading
@@ -28,9 +25,10 @@ from pathlib import Path
 from typing import Any
 
 from attrs import frozen
-from typing_extensions import TypedDict
 
 from bench.tables import print_table
+from bench.turns import Child, module, running, wait_for_port
+from uoarm.testing import free_port
 
 SECONDS = 20.0
 SETTLE_SECONDS = 5.0
@@ -66,19 +64,29 @@ _ASKS = {
     "/": ['{"op": "Request", "type": "idle", "id": "1", "jsonMessage": {}}'],
     "/rosbridge": ['{"op": "subscribe", "topic": "/uoarm/idle"}'],
 }
-_ECHO = 'service: {endpoint: ["bench.idle:echo"]}'
+_ECHO = 'service: {endpoint: ["bench._components:text"]}'
+_EMITS = "output: {endpoint: [idle]}"
 
 
 class Peers(ExitStack):
     """What a manager is connected to.
 
     Attributes:
-        programs: those that run, the latest last.
+        latest: the program that was started last.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.programs: list[subprocess.Popen[str]] = []
+    latest: Child
+
+    def run(self, *words: str) -> Child:
+        """Run a program until the end."""
+        self.latest = self.enter_context(running(words, signal.SIGTERM))
+        return self.latest
+
+    def listening(self, port: int, *words: str) -> str:
+        """Run a program until the end; return its address once it listens."""
+        self.run(*words)
+        wait_for_port(port)
+        return f"127.0.0.1:{port}"
 
 
 @frozen
@@ -105,99 +113,53 @@ class Case:
     message: Any = TEXT
 
 
-class Text(TypedDict):
-    """What is called with."""
-
-    text: str
-
-
-def echo(message: Text) -> Text:
-    """Be a service."""
-    return message
-
-
-def _program(stack: Peers, *words: str, says: str = "") -> str:
-    """Run a program until the end of the stack; return what it says first, as far as it fits."""
-    process = subprocess.Popen(
-        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
-    stack.programs.append(process)
-    stack.callback(process.wait)
-    stack.callback(process.send_signal, signal.SIGTERM)
-    assert process.stdout is not None
-    if not says:
-        return ""
-    for line in process.stdout:
-        if found := re.search(says, line):
-            return found.group(1)
-    raise RuntimeError(f"{words[0]} does not say {says!r}")
-
-
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
-
-
-def _listening(stack: Peers, port: int, *words: str) -> str:
-    _program(stack, *words)
-    until = time.monotonic() + _END_SECONDS
-    while time.monotonic() < until:
-        with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-            return f"127.0.0.1:{port}"
-        time.sleep(0.05)
-    raise RuntimeError(f"{words[0]} does not listen")
-
-
 def _mosquitto(stack: Peers) -> str:
-    port = _free_port()
+    port = free_port()
     program = shutil.which("mosquitto") or "/usr/sbin/mosquitto"
-    return "mqtt://" + _listening(stack, port, program, "-p", str(port))
+    return "mqtt://" + stack.listening(port, program, "-p", str(port))
 
 
 def _vehicle(stack: Peers) -> str:
     url = _mosquitto(stack)
-    _program(stack, sys.executable, "-c", _VEHICLE, url, says="(ready)")
+    stack.run(sys.executable, "-c", _VEHICLE, url).said("(ready)")
     return url
 
 
 def _master(stack: Peers) -> str:
-    port = _free_port()
-    return "http://" + _listening(stack, port, "rosmaster", "--core", "-p", str(port))
+    port = free_port()
+    return "http://" + stack.listening(port, "rosmaster", "--core", "-p", str(port))
 
 
 def _component(stack: Peers) -> str:
     from uoarm_rtm.nameserver import NameServer  # noqa: PLC0415
 
     address: str = stack.enter_context(NameServer()).address
-    _program(stack, sys.executable, "-m", "bench.rtm_ports", "serve", address, says="(ready)")
+    stack.run(*module("bench.rtm_ports", "serve", address)).said("(ready)")
     return address
 
 
 def _device(stack: Peers) -> str:
-    code = "from uoarm_rocos._command import main; main()"
-    words = (sys.executable, "-u", "-c", code, "simulate", "robot", "--tcp", "0")
-    return _program(stack, *words, says=r"(tcp://\S+)")
+    from bench.rocos_line import SIMULATED  # noqa: PLC0415 - with its plugin only
+
+    return stack.run(*SIMULATED, "--tcp", "0").said(r"(tcp://\S+)")
 
 
 def _manager(stack: Peers) -> str:
-    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-    file = folder / "robot.yaml"
+    file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "robot.yaml"
     text = _robot("idle_bridge: {plugin: python}", _ECHO) + "export: {local: [idle]}\n"
     file.write_text(text, encoding="utf-8")
-    words = (sys.executable, "-u", "-m", "uoarm", "serve", str(file), "--port", "0")
-    return _program(stack, *words, says=r"(ws://\S+?)/? ")
+    words = module("uoarm", "serve", str(file), "--port", "0")
+    return stack.run(*words).said(r"(ws://\S+?)/? ")
 
 
 CASES = {
-    "memory": Case("{plugin: memory}", "output: {endpoint: [idle]}"),
+    "memory": Case("{plugin: memory}", _EMITS),
     "host": Case("{plugin: python, host: true}", _ECHO),
-    "server": Case("{plugin: memory}", "output: {endpoint: [idle]}", serves=("/",)),
-    "rosbridge server": Case(
-        "{plugin: memory}", "output: {endpoint: [idle]}", serves=("/rosbridge",)
-    ),
-    "foxglove": Case("{plugin: memory}", "output: {endpoint: [idle]}", serves=("/foxglove",)),
+    "server": Case("{plugin: memory}", _EMITS, serves=("/",)),
+    "rosbridge server": Case("{plugin: memory}", _EMITS, serves=("/rosbridge",)),
+    "foxglove": Case("{plugin: memory}", _EMITS, serves=("/foxglove",)),
     "mcp": Case("{plugin: python}", _ECHO, serves=("", "mcp")),
-    "recorder": Case("{plugin: memory}", "output: {endpoint: [idle]}", records=True),
+    "recorder": Case("{plugin: memory}", _EMITS, records=True),
     "ros2": Case(
         "{plugin: ros2}",
         "output: {endpoint: [/idle, std_msgs/msg/String], options: {peer: optional}}",
@@ -263,13 +225,9 @@ def main() -> int:
     rows = []
     for name in sys.argv[1:] or CASES:
         try:
-            row, threads = _measured(name)
+            rows.append((name, *_measured(name)))
         except (OSError, RuntimeError, ImportError, ValueError) as error:
             print(f"no row for {name}: {error}", file=sys.stderr)
-            continue
-        rows.append((name, *row))
-        if sys.argv[1:]:
-            print(*threads, sep="\n")
     columns = (
         "manager with", "CPU % of a core", "wake-ups a second",
         "with 10 messages a second: CPU %", "wake-ups", "load",
@@ -278,55 +236,33 @@ def main() -> int:
     return 0
 
 
-def _measured(name: str) -> tuple[tuple[str, ...], list[str]]:
+def _measured(name: str) -> tuple[str, ...]:
     case = CASES[name]
     with Peers() as stack:
         place = case.peer(stack) if case.peer is not None else ""
-        words = (sys.executable, "-m", "bench.idle", "--run", name, place)
-        process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        stack.callback(process.communicate)
-        assert process.stdout is not None
-        assert process.stdin is not None
-        line = process.stdout.readline()
-        if not line:
-            raise RuntimeError("it did not start")
-        names = json.loads(line)
-        idle, idle_threads = _cost(process.pid, names)
-        process.stdin.write("go\n")
-        process.stdin.flush()
-        if case.peer is _vehicle:
-            stack.programs[-1].send_signal(signal.SIGUSR1)
-        if case.sends:
-            words = (sys.executable, "-m", "bench.idle", "--send", name, place)
-            _program(stack, *words, says="(ready)")
-        line = process.stdout.readline()
-        if not line:
-            raise RuntimeError("nothing came to it")
-        busy, busy_threads = _cost(process.pid, json.loads(line))
-    row = (*idle, *busy, f"{os.getloadavg()[0]:.1f}")
-    return row, ["idle:", *idle_threads, "ten messages a second:", *busy_threads]
+        with running(module("bench.idle", "--run", name, place)) as manager:
+            manager.said("(ready)")
+            idle = _cost(manager.process.pid)
+            print("go", file=manager.process.stdin, flush=True)
+            if case.peer is _vehicle:
+                stack.latest.process.send_signal(signal.SIGUSR1)
+            if case.sends:
+                stack.run(*module("bench.idle", "--send", name, place)).said("(ready)")
+            manager.said("(came)")
+            return (*idle, *_cost(manager.process.pid), f"{os.getloadavg()[0]:.1f}")
 
 
-def _cost(process: int, names: dict[str, str]) -> tuple[tuple[str, str], list[str]]:
-    """Return what a manager takes for a while, and which threads wake most."""
+def _cost(process: int) -> tuple[str, str]:
+    """Return what a manager takes for a while."""
     time.sleep(SETTLE_SECONDS)
     before, began = _threads(_family(process)), time.monotonic()
     time.sleep(SECONDS)
     after, seconds = _threads(_family(process)), time.monotonic() - began
-    changes = {
-        thread: tuple(
-            now - then for now, then in zip(found, before.get(thread, (0, 0)), strict=True)
-        )
-        for thread, found in after.items()
-    }
-    computed, woken = (sum(change[kind] for change in changes.values()) for kind in (0, 1))
-    most = sorted(changes, key=lambda thread: -changes[thread][1])[:8]
-    listed = [
-        f"{names.get(str(thread), _comm(thread))}: {changes[thread][1] / seconds:.1f} wake-ups a "
-        f"second, {changes[thread][0] / seconds / 1e6:.2f} ms"
-        for thread in most
-    ]
-    return (f"{computed / seconds / 1e7:.2f}", f"{woken / seconds:.1f}"), listed
+    computed, woken = (
+        sum(found[kind] - before.get(thread, (0, 0))[kind] for thread, found in after.items())
+        for kind in (0, 1)
+    )
+    return f"{computed / seconds / 1e7:.2f}", f"{woken / seconds:.1f}"
 
 
 def _family(process: int) -> list[int]:
@@ -353,12 +289,6 @@ def _threads(processes: Iterable[int]) -> dict[int, tuple[int, int]]:
                 assert waits is not None, "Linux says it"
                 found[int(task.name)] = (computed, int(waits[1]))
     return found
-
-
-def _comm(thread: int) -> str:
-    with suppress(OSError):
-        return Path(f"/proc/{thread}/comm").read_text(encoding="utf-8").strip()
-    return "ended"
 
 
 def _run(name: str, place: str) -> None:
@@ -389,8 +319,8 @@ def _run(name: str, place: str) -> None:
             server = stack.enter_context(serve_in_thread(robot, options))
             if path := case.serves[0]:
                 url = f"ws://127.0.0.1:{server.ports[0]}{path}"
-                _program(stack, sys.executable, "-c", _CLIENT, url, *_ASKS.get(path, ()))
-        print(json.dumps(_names()), flush=True)
+                stack.run(sys.executable, "-c", _CLIENT, url, *_ASKS.get(path, ()))
+        print("ready", flush=True)
         sys.stdin.readline()
 
         def act() -> None:
@@ -407,16 +337,12 @@ def _run(name: str, place: str) -> None:
             stack.callback(over.set)
         if not came.wait(_END_SECONDS):
             return
-        print(json.dumps(_names()), flush=True)
+        print("came", flush=True)
         sys.stdin.read()
 
 
 def _bridge_line(case: Case, place: str) -> str:
     return f"idle_bridge: {case.bridge.format(place) if place else case.bridge}"
-
-
-def _names() -> dict[int | None, str]:
-    return {thread.native_id: thread.name for thread in threading.enumerate()}
 
 
 def _again_and_again(act: Callable[[], object], over: threading.Event) -> None:

@@ -2,7 +2,7 @@
 
 Which changes of the code do the tests notice?
 
-Usage: ``python bench/mutation.py [schema | control] [--sample 300] [--seed 0] [--module NAME ...]
+Usage: ``python -m bench.mutation [schema | control] [--sample 300] [--seed 0] [--module NAME ...]
 [--children 2]``. Works on a copy below the cache folder, so nothing in the working tree changes.
 Prints a table of killed and surviving mutants by module, and the survivors; without ``--sample``
 all are run.
@@ -22,7 +22,9 @@ from pathlib import Path
 
 from attrs import frozen
 
-ROOT = Path(__file__).parents[1]
+from bench.tables import print_table
+from bench.turns import ROOT
+
 _SETTINGS = """
 [tool.mutmut]
 source_paths = [{source}]
@@ -79,6 +81,7 @@ _OUTCOMES = {
     36: "timed out",
     24: "timed out",
 }
+_KINDS = ("killed", "timed out", "survived", "no tests", "not run")
 
 
 def main() -> None:
@@ -152,24 +155,17 @@ def _show(total: int, chosen: list[str], outcomes: dict[str, str]) -> None:
     for name in chosen:
         module = name.rpartition(".")[0]
         table.setdefault(module, Counter())[outcomes[name]] += 1
-    print(f"{len(chosen)} of {total} mutants\n")
-    print("| module | killed | timed out | survived | no tests | not run | score |")
-    print("|---|---|---|---|---|---|---|")
-    everything: Counter[str] = Counter()
-    for module, counts in sorted(table.items()):
-        everything += counts
-        _row(module, counts)
-    _row("all", everything)
+    counts = {**dict(sorted(table.items())), "all": sum(table.values(), Counter())}
+    rows = [(name, *_cells(found)) for name, found in counts.items()]
+    print_table(f"{len(chosen)} of {total} mutants", ("module", *_KINDS, "score"), rows)
     print("\nSurvivors:")
     print("\n".join(name for name in sorted(chosen) if outcomes[name] in {"survived", "no tests"}))
 
 
-def _row(name: str, counts: Counter[str]) -> None:
+def _cells(counts: Counter[str]) -> tuple[str, ...]:
     caught = counts["killed"] + counts["timed out"]
     run = counts.total() - counts["not run"]
-    kinds = ("killed", "timed out", "survived", "no tests", "not run")
-    cells = " | ".join(str(counts[kind]) for kind in kinds)
-    print(f"| {name} | {cells} | {caught / run if run else 0:.1%} |")
+    return (*(str(counts[kind]) for kind in _KINDS), f"{caught / run if run else 0:.1%}")
 
 
 if __name__ == "__main__":

@@ -6,18 +6,17 @@ python -m bench.record [--messages 1000000] [--kills 100]
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import random
-import resource
 import signal
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 
 from bench.tables import print_table
+from bench.turns import load, module, resident_megabytes, running
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.model import Message, QueuePolicy
@@ -46,18 +46,11 @@ _COUNT: Any = {
     "additionalProperties": False,
 }
 _BLOCK = QueuePolicy(length=10_000, policy="block", timeout=600)
+_OCTETS = {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}}
 _PICTURE: Any = {
-    "type": "object",
-    "properties": {
-        "n": _COUNT["properties"]["n"],
-        "data": {
-            "type": "array",
-            "items": {"type": "integer", "minimum": 0, "maximum": 255},
-            "x-octets": True,
-        },
-    },
+    **_COUNT,
+    "properties": {**_COUNT["properties"], "data": {**_OCTETS, "x-octets": True}},
     "required": ["n", "data"],
-    "additionalProperties": False,
 }
 _PACES = (
     ("2,000 small messages a second", 2000.0, 0),
@@ -87,10 +80,12 @@ def main() -> None:
             _kills(Path(folder), given.kills)
 
 
-def _robot(bridge: MemoryBridge) -> tuple[RobotManager, Callable[[Message], None]]:
-    clicks = bridge.emitter("clicks", _COUNT)
-    robot = RobotManager(loads(_ROBOT), bridges={"memory": bridge})
-    return robot, clicks.emit
+@contextmanager
+def _robot(schema: Any = _COUNT) -> Iterator[tuple[RobotManager, Callable[[Message], None]]]:
+    bridge = MemoryBridge()
+    clicks = bridge.emitter("clicks", schema)
+    with RobotManager(loads(_ROBOT), bridges={"memory": bridge}) as robot:
+        yield robot, clicks.emit
 
 
 def _cost(folder: Path, count: int) -> None:
@@ -109,9 +104,8 @@ def _cost(folder: Path, count: int) -> None:
         rate = statistics.median(found)
         more = "" if compression == _NOT else f"{(1 / rate - 1 / plain) * 1e6:.1f}"
         rows.append((compression, f"{rate:,.0f}", f"{1e6 / rate:.1f}", more))
-    load = os.getloadavg()[0]
     head = ("compression", "messages a second of processor", "us each", "us more")
-    title = f"small messages as fast as they come, median of {_TURNS} turns (load {load:.1f})"
+    title = f"small messages as fast as they come, median of {_TURNS} turns ({load()})"
     print_table(title, head, rows)
     paced = []
     for name, rate, size in _PACES:
@@ -130,9 +124,7 @@ def _cost(folder: Path, count: int) -> None:
 def _flow(path: Path, compression: str | None, count: int) -> tuple[float, str]:
     """Return messages a second of processor time, and whether the file has each of them."""
     with ExitStack() as stack:
-        bridge = MemoryBridge()
-        robot, emit = _robot(bridge)
-        stack.enter_context(robot)
+        robot, emit = stack.enter_context(_robot())
         received = [0]
 
         def take(_: Message) -> None:
@@ -159,31 +151,24 @@ def _flow(path: Path, compression: str | None, count: int) -> tuple[float, str]:
 def _flat(folder: Path, count: int) -> None:
     """Print what a long recording does to the memory."""
     with ExitStack() as stack:
-        bridge = MemoryBridge()
-        robot, emit = _robot(bridge)
-        stack.enter_context(robot)
+        robot, emit = stack.enter_context(_robot())
         path = folder / "long.mcap"
         recording = stack.enter_context(robot.record("counter", path=path, queue=_BLOCK))
         seen = []
         for n in range(count):
             emit({"n": n})
             if n % (count // 10) == count // 10 - 1:
-                seen.append(_resident())
+                seen.append(resident_megabytes())
         recording.close()
     verdict = _verdict(path, count)
-    rows = [
-        (f"{(n + 1) * count // 10:,}", f"{octets / 2**20:.1f}") for n, octets in enumerate(seen)
-    ]
-    print_table(f"memory, MiB; the file has {verdict}", ("messages", "resident"), rows)
+    rows = [(f"{(n + 1) * count // 10:,}", f"{memory:.1f}") for n, memory in enumerate(seen)]
+    print_table(f"memory, MB; the file has {verdict}", ("messages", "resident"), rows)
 
 
 def _paced(path: Path | None, rate: float, size: int) -> float:
     """Return the processor time of a flow, in ms a second."""
-    schema = _COUNT if not size else _PICTURE
     with ExitStack() as stack:
-        bridge = MemoryBridge()
-        emit = bridge.emitter("clicks", schema).emit
-        robot = stack.enter_context(RobotManager(loads(_ROBOT), bridges={"memory": bridge}))
+        robot, emit = stack.enter_context(_robot(_PICTURE if size else _COUNT))
         robot.request("counter", on_message=lambda _: None)
         if path is not None:
             stack.enter_context(robot.record("counter", path=path))
@@ -198,12 +183,6 @@ def _paced(path: Path | None, rate: float, size: int) -> float:
     return used / _SECONDS * 1000
 
 
-def _resident() -> int:
-    """Return the memory that the process has now, in octets."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * resource.getpagesize()
-
-
 def _verdict(path: Path, count: int) -> str:
     """Return whether each message is there, in order and octet for octet."""
     place = 0
@@ -215,30 +194,27 @@ def _verdict(path: Path, count: int) -> str:
 
 
 def _emit_for_ever(path: Path) -> None:
-    bridge = MemoryBridge()
-    robot, emit = _robot(bridge)
-    robot.record("counter", path=path, queue=QueuePolicy(length=100, policy="block", timeout=600))
-    n = 0
-    while True:
-        emit({"n": n})
-        n += 1
-        if n % 100 == 0:
-            print(n, flush=True)
+    with _robot() as (robot, emit):
+        queue = QueuePolicy(length=100, policy="block", timeout=600)
+        robot.record("counter", path=path, queue=queue)
+        for n in itertools.count(1):
+            emit({"n": n - 1})
+            if n % 100 == 0:
+                print(n, flush=True)
 
 
 def _kills(folder: Path, count: int) -> None:
     lost = []
     for turn in range(count):
         path = folder / f"kill{turn}.mcap"
-        command = [sys.executable, "-m", "bench.record", "--emit", str(path)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            sent = int(process.stdout.readline())
+        with running(module("bench.record", "--emit", str(path)), signal.SIGKILL) as child:
             end = time.monotonic() + random.uniform(0, 1.5)
+            sent = int(child.said())
             while time.monotonic() < end:
-                sent = int(process.stdout.readline())
-            process.send_signal(signal.SIGKILL)
-            rest = process.stdout.read().split()
+                sent = int(child.said())
+            child.process.kill()
+            assert child.process.stdout is not None
+            rest = child.process.stdout.read().split()
         numbers = _numbers(path)
         assert numbers == list(range(len(numbers))), f"{path}: not the first messages, in order"
         lost.append(int(rest[-1] if rest else sent) - len(numbers))

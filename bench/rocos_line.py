@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import subprocess
 import sys
 import tty
 from collections.abc import Callable, Iterator
@@ -13,10 +12,15 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from bench.tables import microseconds, print_table, row
+from bench.turns import module, running
 
 TEXT = "a sentence of usual length, said to a robot"
 CALLS = 2000
 _WARMING = 100
+SIMULATED = (
+    *(sys.executable, "-u", "-c", "from uoarm_rocos._command import main; main()"),
+    *("simulate", "robot"),
+)
 
 
 def main() -> int:
@@ -105,8 +109,8 @@ def _echoing(kind: str) -> Iterator[Callable[[], object]]:
     from uoarm_rocos._catalogue import CallMessage  # noqa: PLC0415
 
     octets = XmlCodec().write(CallMessage(1, 1, "echo", {"text": TEXT}))
-    command = [sys.executable, "-m", "bench.rocos_line", "echo", kind]
-    with _ended_by(signal.SIGTERM, command) as (where, _):
+    with running(module("bench.rocos_line", "echo", kind), signal.SIGTERM) as child:
+        where = child.said()
         if kind == "tcp":
             with closing(socket.create_connection(("127.0.0.1", int(where)))) as line:
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -145,30 +149,18 @@ def _echo(kind: str) -> int:
 
 
 @contextmanager
-def _ended_by(number: signal.Signals, command: list[str]) -> Iterator[tuple[str, int]]:
-    """A process for as long as it is needed: the first line that it prints, and its id."""
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout
-        try:
-            yield process.stdout.readline().strip(), process.pid
-        finally:
-            process.send_signal(number)
-
-
-@contextmanager
 def _robot(kind: str) -> Iterator[tuple[Callable[[], object], int]]:
     """A call to a simulated robot, and the id of the robot's process."""
     from uoarm.bridge import Registry  # noqa: PLC0415
     from uoarm.model import BridgeSpec, Endpoint, Role  # noqa: PLC0415
 
-    command = [sys.executable, "-c", "from uoarm_rocos._command import main; main()", "simulate"]
-    words = ("--tcp", "0") if kind == "tcp" else ("--pty",)
-    with _ended_by(signal.SIGINT, [*command, "robot", *words]) as (url, process):
-        options = {"devices": {"robot": {"url": url}}}
+    where = ("--tcp", "0") if kind == "tcp" else ("--pty",)
+    with running((*SIMULATED, *where), signal.SIGINT) as device:
+        options = {"devices": {"robot": {"url": device.said()}}}
         bridge = Registry().create(BridgeSpec("rocos", "rocos", options))
         echo = Endpoint("rocos", "robot", Role.SERVICE, ("robot", "echo"))
         bridge.describe(echo)
-        yield lambda: bridge.call(echo, {"text": TEXT}), process
+        yield lambda: bridge.call(echo, {"text": TEXT}), device.process.pid
         bridge.close()
 
 

@@ -8,22 +8,22 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
+import signal
 import subprocess
 import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 
 from bench._ros_relays import RELAYS, relay
 from bench.tables import print_table, row
+from bench.turns import module, running, wait_for_port
+from uoarm.testing import free_port
 
 ROS_PYTHON = "/usr/bin/python3"  # what Debian installs belongs to it alone
 PEER = str(Path(__file__).with_name("_ros1_peer.py"))
 ALL = ("a rospy relay by hand", *RELAYS)
 KIND = "std_msgs/UInt8MultiArray"
-START_SECONDS = 30.0
 
 
 def main() -> int:
@@ -37,26 +37,18 @@ def main() -> int:
     if master is None:
         print("no relay table: no rosmaster (apt install python3-rosmaster)", file=sys.stderr)
         return 0
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     uri = f"http://127.0.0.1:{port}"
     environment = {**os.environ, "ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1"}
     with ExitStack() as stack:
-        core = subprocess.Popen([master, "--core", "-p", str(port)], stdout=subprocess.DEVNULL)
-        stack.callback(core.wait)
-        stack.callback(core.kill)
-        _await(port)
+        core = (master, "--core", "-p", str(port))
+        stack.enter_context(running(core, signal.SIGKILL, stdout=subprocess.DEVNULL))
+        wait_for_port(port)
         for number, name in enumerate(ALL):
             topics = (f"/here_{number}", f"/there_{number}")
-            words = [ROS_PYTHON, PEER, "relay", *topics]
-            if number:
-                words = [sys.executable, "-m", "bench.ros1_relay", name, *topics]
-            process = subprocess.Popen(
-                words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
-            )
-            stack.callback(process.communicate)
-            assert process.stdout is not None
-            process.stdout.readline()
+            ours = module("bench.ros1_relay", name, *topics)
+            words = ours if number else (ROS_PYTHON, PEER, "relay", *topics)
+            stack.enter_context(running(words, env=environment)).said("(ready)")
         client = [ROS_PYTHON, PEER, "client", str(len(ALL))]
         done = subprocess.run(
             client, stdout=subprocess.PIPE, text=True, env=environment, check=True
@@ -70,19 +62,6 @@ def main() -> int:
     print_table("ROS 1 relay, round trip (us)", ("relay", "median", "p99", "size"), times)
     print_table("ROS 1 relay, one way", ("relay", "messages/s", "size"), rates)
     return 0
-
-
-def _await(port: int) -> None:
-    deadline = time.monotonic() + START_SECONDS
-    while True:
-        try:
-            socket.create_connection(("127.0.0.1", port), 1).close()
-        except OSError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.05)
-        else:
-            return
 
 
 def _relay(name: str, here: str, there: str) -> None:

@@ -1,34 +1,35 @@
 """What a ROS 2 bridge costs while many topics are open: CPU time, and messages that arrive.
 
-A talker in a process of its own has a hundred idle topics and a busy one; the listeners, one after
+A world in a process of its own has a hundred idle topics and a busy one; the listeners, one after
 another in processes of their own, subscribe to all of them.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
-from bench.tables import print_table
+from bench.tables import print_table, spread
+from bench.turns import module, running
 
-DOMAIN = str(20 + os.getpid() % 80)
 SECONDS = 5.0
-CASES = {  # label: idle topics, messages a second, type
-    "100 idle topics, String at 200 Hz": (100, 200, "std_msgs/msg/String"),
-    "Imu at 500 Hz alone": (0, 500, "sensor_msgs/msg/Imu"),
-    "Odometry at 500 Hz alone": (0, 500, "nav_msgs/msg/Odometry"),
-}
-LISTENERS = ("a bare rclpy executor", "uoarm bridge")
+SETTLE_SECONDS = 3.0
+TOPICS = [f"/bench/t{number}" for number in range(100)]
+BUSY, HERTZ = "/bench/hz200", 200
+Take = Callable[[str], object]
 
 
 def main() -> int:
     """Print the table; 0 also when there is no ROS 2 to measure."""
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
+    os.environ.setdefault("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
     try:
         import rclpy  # noqa: F401, PLC0415
         import uoarm_ros2  # noqa: F401, PLC0415
@@ -36,115 +37,51 @@ def main() -> int:
         print(f"no table of idle topics: {error}", file=sys.stderr)
         return 0
     rows = []
-    for case in CASES:
-        talker = [sys.executable, "-m", "bench.ros2_idle", "talk", case]
-        with subprocess.Popen(talker, stdin=subprocess.PIPE) as process:
-            for listener in LISTENERS:
-                command = [sys.executable, "-m", "bench.ros2_idle", listener, case]
-                done = subprocess.run(
-                    command, check=True, capture_output=True, text=True, timeout=120
-                )
-                rows.append((case, listener, *done.stdout.split()))
-            process.communicate(timeout=20)
-    columns = ("case", "listener", "CPU %", "CPU us a message", "came %", "p50 us", "p99 us")
-    print_table("ROS 2: open topics", columns, rows)
+    with running(module("bench._ros2_world", str(len(TOPICS)))) as world:
+        world.said("(ready)")
+        for listener in LISTENERS:
+            words = module("bench.ros2_idle", listener)
+            done = subprocess.run(words, check=True, stdout=subprocess.PIPE, timeout=120)
+            rows.append((listener, *json.loads(done.stdout)))
+    columns = ("listener", "CPU %", "CPU us a message", "came %", "age us, median / p99")
+    print_table(f"ROS 2: {len(TOPICS)} idle topics beside one at {HERTZ} Hz", columns, rows)
     return 0
 
 
-def native_type(name: str) -> Any:
-    from uoarm_ros2._types import import_type  # noqa: PLC0415
+def listen(listener: str) -> None:
+    """Be a listener for a while, and print its row."""
+    ages: list[float] = []
 
-    return import_type(name)
+    def take(text: str) -> None:
+        sent = text[:64].split(" ")
+        if len(sent) > 1:  # not of an idle topic
+            ages.append((time.monotonic_ns() - int(sent[1])) / 1000)
 
-
-def stamped(message: Any, now: int) -> Any:
-    """Put the time into a message, wherever it has room for one."""
-    if hasattr(message, "header"):
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
-    else:
-        message.data = str(now)
-    return message
-
-
-def talk(case: str) -> None:
-    """Publish at a steady rate until standard input ends."""
-    import rclpy  # noqa: PLC0415
-    from rclpy.node import Node  # noqa: PLC0415
-
-    idle, hertz, kind = CASES[case]
-    rclpy.init(args=[])
-    node, native = Node("talker"), native_type(kind)
-    _kept = [node.create_publisher(native, f"/idle_{index}", 10) for index in range(idle)]
-    publisher = node.create_publisher(native, "/busy", 100)
-    ended = threading.Event()
-    threading.Thread(target=_end_with_input, args=(ended,), daemon=True).start()
-    message, due = native(), time.monotonic()
-    while not ended.is_set():
-        publisher.publish(stamped(message, time.monotonic_ns()))
-        due += 1 / hertz
-        time.sleep(max(0.0, due - time.monotonic()))
-    rclpy.shutdown()
-
-
-def _end_with_input(ended: threading.Event) -> None:
-    sys.stdin.read()
-    ended.set()
-
-
-class Meter:
-    """Counts what comes, and how long it was under way, once it is started."""
-
-    def __init__(self) -> None:
-        self.delays: list[int] = []
-        self.started = False
-
-    def take(self, sent: int) -> None:
-        """Note one message by the time at which it left."""
-        if self.started:
-            self.delays.append(time.monotonic_ns() - sent)
-
-    def run(self, hertz: int) -> None:
-        """Measure for a while and print one row."""
-        time.sleep(3.0)
-        self.started = True
+    with LISTENERS[listener](take):
+        time.sleep(SETTLE_SECONDS)
+        ages.clear()
         cpu, clock = time.process_time(), time.monotonic()
         time.sleep(SECONDS)
         cpu, clock = time.process_time() - cpu, time.monotonic() - clock
-        self.started = False
-        delays, expected = sorted(self.delays), hertz * clock
-        print(
-            f"{100 * cpu / clock:.1f}",
-            f"{1e6 * cpu / len(delays):.0f}",
-            f"{100 * len(delays) / expected:.1f}",
-            f"{delays[len(delays) // 2] / 1000:.0f}",
-            f"{delays[len(delays) * 99 // 100] / 1000:.0f}",
-            flush=True,
-        )
+        came = list(ages)
+    figures = 100 * cpu / clock, 1e6 * cpu / len(came), 100 * len(came) / HERTZ / clock
+    print(json.dumps([*(f"{figure:.1f}" for figure in figures), spread(came)]))
 
 
-def listen_by_hand(case: str) -> None:
+@contextmanager
+def _by_hand(take: Take) -> Iterator[None]:
     """Subscribe with rclpy's own executor."""
     import rclpy  # noqa: PLC0415
     from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
     from rclpy.node import Node  # noqa: PLC0415
+    from std_msgs.msg import String  # noqa: PLC0415
 
-    idle, hertz, kind = CASES[case]
     rclpy.init(args=[])
-    node, native, meter = Node("listener"), native_type(kind), Meter()
-
-    def take(message: Any) -> None:
-        if hasattr(message, "header"):
-            stamp = message.header.stamp
-            meter.take(stamp.sec * 10**9 + stamp.nanosec)
-        else:
-            meter.take(int(message.data))
-
-    for index in range(idle):
-        node.create_subscription(native, f"/idle_{index}", take, 10)
-    node.create_subscription(native, "/busy", take, 100)
+    node = Node("listener")
+    for topic in (*TOPICS, BUSY):
+        node.create_subscription(String, topic, lambda message: take(message.data), 100)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-
     ended = threading.Event()
 
     def spin() -> None:
@@ -153,38 +90,35 @@ def listen_by_hand(case: str) -> None:
 
     spinning = threading.Thread(target=spin)
     spinning.start()
-    meter.run(hertz)
+    yield
     ended.set()
     spinning.join()
     rclpy.shutdown()
 
 
-def listen_by_bridge(case: str) -> None:
+@contextmanager
+def _by_bridge(take: Take) -> Iterator[None]:
     """Open every topic as a source of the bridge."""
     from uoarm.bridge import Registry  # noqa: PLC0415
     from uoarm.model import BridgeSpec, Endpoint, Role  # noqa: PLC0415
 
-    idle, hertz, kind = CASES[case]
-    bridge, meter = Registry().create(BridgeSpec("ros", "ros2", {"settle": 0})), Meter()
+    def taken(message: Any) -> None:
+        take(message["data"])
 
-    def take(message: Any) -> None:
-        if "header" in message:
-            stamp = message["header"]["stamp"]
-            meter.take(stamp["sec"] * 10**9 + stamp["nanosec"])
-        else:
-            meter.take(int(message["data"]))
-
-    for topic in (*(f"/idle_{index}" for index in range(idle)), "/busy"):
-        at = Endpoint("ros", topic, Role.OUTPUT, (topic, kind))
+    bridge = Registry().create(BridgeSpec("ros", "ros2", {"settle": 0}))
+    for topic in (*TOPICS, BUSY):
+        at = Endpoint("ros", topic, Role.OUTPUT, (topic, "std_msgs/msg/String"))
         structure = bridge.describe(at).message
         assert structure is not None
-        bridge.open_source(at, structure, take)
-    meter.run(hertz)
+        bridge.open_source(at, structure, taken)
+    yield
     bridge.close()
 
 
+LISTENERS = {"a bare rclpy executor": _by_hand, "uoarm bridge": _by_bridge}
+
 if __name__ == "__main__":
-    if len(sys.argv) == 1:
+    if sys.argv[1:]:
+        listen(sys.argv[1])
+    else:
         sys.exit(main())
-    role, case = sys.argv[1:]
-    {"talk": talk, LISTENERS[0]: listen_by_hand, LISTENERS[1]: listen_by_bridge}[role](case)

@@ -6,16 +6,16 @@ Each relay is a process of its own; the client publishes and listens in this one
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from typing import Any
 
 from bench._ros_relays import RELAYS, relay
-from bench.tables import print_table, row
+from bench.tables import microseconds, print_table, row
+from bench.turns import module, running
 
-DOMAIN = str(20 + os.getpid() % 80)
 SIZES = {"100 B": 100, "1 KB": 1_000, "1 MB": 1_000_000}
 ROUNDS = {100: 2000, 1_000: 2000, 1_000_000: 300}
 BURST = {100: 5000, 1_000: 5000, 1_000_000: 100}
@@ -28,7 +28,7 @@ KIND = "std_msgs/msg/UInt8MultiArray"
 def main() -> int:
     """Print the tables; 0 also when there is no ROS 2 to measure."""
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ["ROS_DOMAIN_ID"] = DOMAIN
+    os.environ["ROS_DOMAIN_ID"] = str(20 + os.getpid() % 80)
     try:
         import rclpy  # noqa: F401, PLC0415
         import uoarm_ros2  # noqa: F401, PLC0415
@@ -38,12 +38,8 @@ def main() -> int:
     times: list[tuple[str, ...]] = []
     rates: list[tuple[str, ...]] = []
     for number, name in enumerate(ALL):
-        arguments = [sys.executable, "-m", "bench.ros2_relay", name, str(number)]
-        with subprocess.Popen(
-            arguments, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL
-        ) as process:
+        with running(module("bench.ros2_relay", name, str(number))):
             _measure(name, number, times, rates)
-            process.communicate(timeout=20)
     print_table("ROS 2 relay, round trip (us)", ("relay", "median", "p99", "size"), times)
     print_table("ROS 2 relay, one way, reliable", ("relay", "messages/s", "size"), rates)
     return 0
@@ -90,14 +86,13 @@ def _round_trips(
 
     while rclpy.spin_once(node, timeout_sec=0.2) or seen[0] < 0:
         pass
-    samples = []
-    for _ in range(rounds):
+
+    def trip() -> None:
         before = seen[0]
-        start = time.perf_counter_ns()
         publisher.publish(message)
         _spin_until_more(node, seen, before)
-        samples.append((time.perf_counter_ns() - start) / 1000)
-    return sorted(samples)
+
+    return microseconds(trip, repeat=rounds)
 
 
 def _burst(node: Any, publisher: Any, message: Any, seen: list[int], count: int) -> float:
@@ -133,15 +128,10 @@ def relay_by_hand(here: str, there: str) -> None:
     qos = QoSProfile(depth=100, history=HistoryPolicy.KEEP_ALL)
     publisher = node.create_publisher(UInt8MultiArray, there, qos)
     node.create_subscription(UInt8MultiArray, here, publisher.publish, qos)
-    _stop_when_input_ends(rclpy.shutdown)
+    ended = threading.Thread(target=lambda: (sys.stdin.read(), rclpy.shutdown()), daemon=True)
+    ended.start()
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(node)
-
-
-def _stop_when_input_ends(stop: Any) -> None:
-    import threading  # noqa: PLC0415
-
-    threading.Thread(target=lambda: (sys.stdin.read(), stop()), daemon=True).start()
 
 
 def _relay(name: str, number: str) -> None:

@@ -6,12 +6,12 @@ round trip is one `put` to it with one `put` from it inside.
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Callable
 from typing import Any
 
 from bench.tables import microseconds, print_table, row
+from bench.turns import module, running
 
 TM = {"sec": 1, "nsec": 2}
 SIZE = {"width": 1000, "height": 1000, "bpp": 8, "format": "mono8", "fDiv": 0.0}
@@ -32,13 +32,9 @@ def main() -> int:
     except ImportError as error:
         print(f"no port table: {error}", file=sys.stderr)
         return 0
-    with NameServer() as names:
-        arguments = [sys.executable, "-m", "bench.rtm_ports", "serve", names.address]
-        with subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
-            assert process.stdout is not None
-            process.stdout.readline()
-            _tables(names.address)
-            process.communicate(timeout=20)
+    with NameServer() as names, running(module("bench.rtm_ports", "serve", names.address)) as peer:
+        peer.said("(ready)")
+        _tables(names.address)
     return 0
 
 

@@ -1,6 +1,6 @@
 """Containment checkers side by side: time per pair and verdict, ours and others from PyPI.
 
-Usage: ``python bench/schema_check.py [--json] [--ours] [--hand-written]``. Each rival is installed
+Usage: ``python -m bench.schema_check [--json] [--ours] [--hand-written]``. Each rival is installed
 into an environment of its own below the cache folder (``UOARM_TEST_CACHE``, else ``.cache``).
 """
 
@@ -18,11 +18,11 @@ import venv
 from collections.abc import Sequence
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from tests.schema import _hard_arrays, _hard_logic, _hard_objects, _hard_scalars, _hard_sizes
 
 from bench._schema_cases import CASES, Case
+from bench.tables import print_table
+from bench.turns import ROOT
 
 RIVALS = {
     "jsonsubschema": "jsonsubschema==0.0.8",
@@ -74,7 +74,7 @@ def hand_written() -> Sequence[Case]:
 
 
 def _environment(name: str, requirement: str) -> Path:
-    cache = Path(os.environ.get("UOARM_TEST_CACHE", Path(__file__).parents[1] / ".cache"))
+    cache = Path(os.environ.get("UOARM_TEST_CACHE", ROOT / ".cache"))
     home = cache / "rivals" / name
     python = home / "bin" / "python"
     if (home / "installed").is_file():
@@ -115,17 +115,19 @@ def _run(name: str, python: Path, cases: Sequence[Case], *, once: bool) -> Answe
 
 def _show(results: dict[str, Answers], cases: Sequence[Case]) -> None:
     print(f"CPython {platform.python_version()}, {platform.machine()}; median ms of each pair")
-    print("(wrong answers bold; u: undecided or refused to answer).\n")
-    print("| group | pair | truth | " + " | ".join(results) + " |")
-    print("|---|---|---|" + "---|" * len(results))
-    for place, case in enumerate(cases):
-        cells = [_cell(case, answers[place]) for answers in results.values()]
-        truth = "yes" if case.contained else "no"
-        print(f"| {case.group} | {case.name} | {truth} | " + " | ".join(cells) + " |")
-    print("\n| checker | right | wrong yes | wrong no | undecided, error, time-out | median ms |")
-    print("|---|---|---|---|---|---|")
-    for name, answers in results.items():
-        _sum(name, answers, cases)
+    print("(wrong answers bold; u: undecided or refused to answer).")
+    truths = {False: "no", True: "yes"}
+    pairs = [
+        (
+            *(case.group, case.name, truths[case.contained]),
+            *(_cell(case, answers[place]) for answers in results.values()),
+        )
+        for place, case in enumerate(cases)
+    ]
+    print_table("Pairs", ("group", "pair", "truth", *results), pairs)
+    head = ("checker", "right", "wrong yes", "wrong no", "undecided, error, time-out", "median ms")
+    sums = [_sum(name, answers, cases) for name, answers in results.items()]
+    print_table("Checkers", head, sums)
 
 
 def _cell(case: Case, answer: dict[str, object]) -> str:
@@ -137,7 +139,7 @@ def _cell(case: Case, answer: dict[str, object]) -> str:
     return f"{shown} {answer['ms']:.3f}"
 
 
-def _sum(name: str, answers: Answers, cases: Sequence[Case]) -> None:
+def _sum(name: str, answers: Answers, cases: Sequence[Case]) -> tuple[str, ...]:
     pairs = list(zip(cases, (answer["answer"] for answer in answers), strict=True))
     right = sum(said is case.contained for case, said in pairs)
     wrong_yes = sum(said is True and not case.contained for case, said in pairs)
@@ -145,7 +147,7 @@ def _sum(name: str, answers: Answers, cases: Sequence[Case]) -> None:
     times = [float(str(answer["ms"])) for answer in answers if "ms" in answer]
     median = f"{statistics.median(times):.3f}" if times else "-"
     left = len(pairs) - right - wrong_yes - wrong_no
-    print(f"| {name} | {right} | {wrong_yes} | {wrong_no} | {left} | {median} |")
+    return name, f"{right}", f"{wrong_yes}", f"{wrong_no}", f"{left}", median
 
 
 if __name__ == "__main__":

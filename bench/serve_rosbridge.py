@@ -14,13 +14,12 @@ import argparse
 import asyncio
 import json
 import os
-import re
 import signal
+import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,10 +28,9 @@ from attrs import frozen
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from bench.tables import at, print_table
+from bench.tables import print_table, spread
+from bench.turns import module, parser, resident_megabytes, running, serving, states
 
-HERE = Path(__file__).parent
-PLUGINS = ("rosbridge", "ros2")
 SECONDS = 4.0
 SETTLE_SECONDS = 1.0
 CLIENTS = (1, 50, 100)
@@ -42,19 +40,14 @@ version: 1
 bridges:
   ros: {{plugin: ros2, options: {{domain_id: {domain}}}}}
 functions:
-  hz100: {{components: [{{name: hz100, bridge: ros, output: {{endpoint: [/bench/hz100]}}}}]}}
-  hz1000: {{components: [{{name: hz1000, bridge: ros, output: {{endpoint: [/bench/hz1000]}}}}]}}
-  hz4000: {{components: [{{name: hz4000, bridge: ros, output: {{endpoint: [/bench/hz4000]}}}}]}}
-  flood: {{components: [{{name: flood, bridge: ros, output: {{endpoint: [/bench/flood]}}}}]}}
-  pictures:
-    components: [{{name: pictures, bridge: ros, output: {{endpoint: [/bench/pictures]}}}}]
-  toggle: {{components: [{{name: toggle, bridge: ros, service: {{endpoint: [/bench/toggle]}}}}]}}
-  in: {{components: [{{name: in, bridge: ros, input: {{endpoint: [/bench/in]}}}}]}}
-  out: {{components: [{{name: out, bridge: ros, output: {{endpoint: [/bench/out]}}}}]}}
 """
-LATCHED = (
-    "  t{0}: {{components: [{{name: t{0}, bridge: ros, output: {{endpoint: [/bench/t{0}]}}}}]}}\n"
-)
+FUNCTION = "  {0}: {{components: [{{name: {0}, bridge: ros, {1}: {{endpoint: [/bench/{0}]}}}}]}}\n"
+ROLES = {
+    **{f"t{number}": "output" for number in range(TOPICS)},
+    **dict.fromkeys(("hz100", "hz1000", "hz4000", "flood", "pictures", "out"), "output"),
+    "in": "input",
+    "toggle": "service",
+}
 
 
 @frozen
@@ -102,10 +95,10 @@ async def client(peer: Peer) -> AsyncIterator[Reader]:
 
 
 async def timed(step: Any) -> float:
-    """Return the microseconds that a step took."""
-    start = time.perf_counter_ns()
+    """Return the milliseconds that a step took."""
+    start = time.perf_counter()
     await step
-    return (time.perf_counter_ns() - start) / 1000
+    return (time.perf_counter() - start) * 1000
 
 
 async def begin(peer: Peer) -> str:
@@ -117,7 +110,7 @@ async def begin(peer: Peer) -> str:
 
 
 async def round_trip(peer: Peer) -> list[float]:
-    """Return sorted microseconds from publishing to the echo of another ROS 2 process."""
+    """Return milliseconds from publishing to the echo of another ROS 2 process."""
     async with client(peer) as reader:
         kind = {"type": "std_msgs/String"}
         await reader.send("advertise", "in", **kind)
@@ -128,11 +121,11 @@ async def round_trip(peer: Peer) -> list[float]:
             await reader.send("publish", "in", msg={"data": "x"})
             await reader.receive()
 
-        return sorted([await timed(echo()) for _ in range(1000)][50:])
+        return [await timed(echo()) for _ in range(1000)][50:]
 
 
 async def service_call(peer: Peer) -> list[float]:
-    """Return sorted microseconds of a service call to another ROS 2 process."""
+    """Return milliseconds of a service call to another ROS 2 process."""
     async with client(peer) as reader:
 
         async def call() -> None:
@@ -141,7 +134,7 @@ async def service_call(peer: Peer) -> list[float]:
             message = await reader.receive()
             assert message["result"], message
 
-        return sorted([await timed(call()) for _ in range(1000)][50:])
+        return [await timed(call()) for _ in range(1000)][50:]
 
 
 async def flow(peer: Peer, source: str) -> str:
@@ -183,15 +176,11 @@ async def many(peer: Peer, clients: int) -> str:
     The clients are in a process of their own that does little but read.
     """
     address = (peer.url, f"{peer.prefix}hz100", str(clients), str(SECONDS))
-    reader = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "bench._websocket_reader", *address, stdout=asyncio.subprocess.PIPE
-    )
-    assert reader.stdout is not None
-    await asyncio.wait_for(reader.stdout.readline(), 30)
-    busy = _busy(peer)
-    report = json.loads(await asyncio.wait_for(reader.stdout.readline(), 30))
-    busy = _busy(peer) - busy
-    await reader.wait()
+    with running(module("bench._websocket_reader", *address)) as reader:
+        reader.said("(begins)")
+        busy = _busy(peer)
+        report = json.loads(reader.said())
+        busy = _busy(peer) - busy
     ages = f"{report['median']:,.1f} / {report['p99']:,.1f} ms"
     rate = f"{report['count'] / SECONDS:,.0f} a second"
     return f"{ages}, {rate}, {busy / SECONDS:.0%} of a core (client {report['busy'] / SECONDS:.0%})"
@@ -221,11 +210,8 @@ async def head_of_line(peer: Peer) -> str:
         while (now := time.monotonic()) < begin + SECONDS:
             frame = await asyncio.wait_for(reader.socket.recv(), 20)
             if isinstance(frame, str) and now > begin:
-                ages.append((time.monotonic_ns() - _stamp(json.loads(frame))[1]) / 1000)
-    spread = sorted(ages)
-    if not spread:
-        return "none came"
-    return f"{_ms(spread, 0.5)} / {_ms(spread, 0.99)} ms, {len(spread) / SECONDS:,.0f} a second"
+                ages.append((time.monotonic_ns() - _stamp(json.loads(frame))[1]) / 1e6)
+    return f"{spread(ages, 2)} ms, {len(ages) / SECONDS:,.0f} a second" if ages else "none came"
 
 
 async def never_reading(peer: Peer) -> str:
@@ -247,22 +233,18 @@ async def never_reading(peer: Peer) -> str:
     return f"{grown:+.1f} MB/s; the other {count / SECONDS:.0f} a second"
 
 
-async def bare(*arguments: str) -> dict[str, float]:
-    """Return what a process gets that does nothing but subscribe; see `bench._ros2_reader`."""
-    command = (sys.executable, "-m", "bench._ros2_reader", str(SECONDS), *arguments)
-    reader = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
-    assert reader.stdout is not None
-    report, _ = await asyncio.wait_for(reader.communicate(), 30)
-    got: dict[str, float] = json.loads(report)
+def bare(*arguments: str) -> dict[str, Any]:
+    """Return what a process gets that does nothing but subscribe."""
+    words = module("bench._ros2_world", "read", str(SECONDS), *arguments)
+    done = subprocess.run(words, stdout=subprocess.PIPE, check=True, timeout=30)
+    got: dict[str, Any] = json.loads(done.stdout)
     return got
 
 
-async def bare_beside() -> str:
+def bare_beside() -> str:
     """Return how old small messages are beside pictures where no server is between."""
-    reports = await bare("small")
-    if "p99" not in reports:
-        return "none came"
-    return f"{reports['median']:.2f} / {reports['p99']:.2f} ms, {reports['small']:,.0f} a second"
+    reports = bare("small")
+    return f"{reports['ages']} ms, {reports['small']:,.0f} a second"
 
 
 def _busy(peer: Peer) -> float:
@@ -280,19 +262,11 @@ def _each(peer: Peer, before: float, count: int) -> str:
 
 def _memory(peer: Peer) -> float:
     """Return the megabytes of memory that a server has; NaN where its process is not known."""
-    if peer.process is None:
-        return float("nan")
-    pages = int(Path(f"/proc/{peer.process}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def _ms(samples: list[float], quantile: float) -> str:
-    return f"{at(samples, quantile) / 1000:.2f}"
+    return float("nan") if peer.process is None else resident_megabytes(peer.process)
 
 
 async def _trips(peer: Peer, measured: Callable[[Peer], Awaitable[list[float]]]) -> str:
-    spread = await measured(peer)
-    return f"{_ms(spread, 0.5)} / {_ms(spread, 0.99)} ms"
+    return f"{spread(await measured(peer), 2)} ms"
 
 
 BESIDE = "age of 100 Hz of 1 KB beside 10 pictures a second, median / p99"
@@ -318,30 +292,6 @@ ROWS: dict[str, Measured] = {
 }
 
 
-@asynccontextmanager
-async def _own(name: str, checkout: Path, file: Path) -> AsyncIterator[Peer]:
-    """Run `uoarm serve` of a checkout with a configuration."""
-    plugins = (checkout / "plugins" / f"uoarm-{plugin}" / "src" for plugin in PLUGINS)
-    sources = [checkout, checkout / "src", *plugins]
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "uoarm", "serve", str(file), "--port", "0",
-        stdout=asyncio.subprocess.PIPE,
-        cwd=checkout,
-        env={
-            **os.environ, "PYTHONPATH": os.pathsep.join(map(str, sources)), "PYTHONUNBUFFERED": "1"
-        },
-    )  # fmt: skip
-    assert process.stdout is not None
-    try:
-        line = (await asyncio.wait_for(process.stdout.readline(), 30)).decode()
-        found = re.search(r"(ws://[^ ]+/) ", line)
-        assert found is not None, line
-        yield Peer(name, f"{found.group(1)}rosbridge", "/uoarm/", process.pid)
-    finally:
-        process.send_signal(signal.SIGTERM)
-        await asyncio.wait_for(process.wait(), 10)
-
-
 async def _cell(measured: Measured, peer: Peer) -> str:
     """Return one cell; a server that does not answer in time costs its cell, not the others."""
     try:
@@ -352,39 +302,30 @@ async def _cell(measured: Measured, peer: Peer) -> str:
 
 async def run(chosen: argparse.Namespace) -> None:
     """Measure and print."""
-    arguments = (sys.executable, "-m", "bench._ros2_world", str(TOPICS))
-    world = await asyncio.create_subprocess_exec(*arguments, stdout=asyncio.subprocess.PIPE)
-    assert world.stdout is not None
     rows = {what: row for what, row in ROWS.items() if chosen.only in what}
     table: list[Sequence[str]] = []
-    try:
-        await asyncio.wait_for(world.stdout.readline(), 30)
-        ceiling = (await bare())["pictures"]
-        async with AsyncExitStack() as stack:
-            file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "robot.yaml"
-            domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
-            many_topics = "".join(map(LATCHED.format, range(TOPICS)))
-            file.write_text(CONFIGURATION.format(domain=domain) + many_topics, encoding="utf-8")
-            peers: list[Peer] = []
-            if chosen.before is not None:
-                before = _own("before", chosen.before.resolve(), file)
-                peers.append(await stack.enter_async_context(before))
-            peers.append(await stack.enter_async_context(_own("now", HERE.parent, file)))
-            if chosen.rosbridge is not None:
-                url = chosen.rosbridge
-                peers.append(Peer(url, url, "/bench/", chosen.process))
-            for peer in peers:
-                print(peer.name, await _cell(begin, peer), file=sys.stderr, flush=True)
-            for number in range(chosen.rounds):
-                for what, measured in rows.items():
-                    load = f"{os.getloadavg()[0]:.1f}"
-                    cells = [await _cell(measured, peer) for peer in peers]
-                    without = await bare_beside() if what == BESIDE else ""
-                    table.append((f"{number + 1}: {what}", *cells, without, load))
-                    print(*table[-1], sep=" | ", file=sys.stderr, flush=True)
-    finally:
-        world.send_signal(signal.SIGKILL)
-        await world.wait()
+    text = CONFIGURATION.format(domain=os.environ.get("ROS_DOMAIN_ID", "0"))
+    text += "".join(FUNCTION.format(*role) for role in ROLES.items())
+    with ExitStack() as stack:
+        words = module("bench._ros2_world", str(TOPICS))
+        stack.enter_context(running(words, signal.SIGKILL)).said("(ready)")
+        ceiling = bare()["pictures"]
+        peers: list[Peer] = []
+        for name, checkout in states(chosen).items():
+            url, process = stack.enter_context(serving(checkout, text, cwd=checkout))
+            peers.append(Peer(name, f"{url}rosbridge", "/uoarm/", process.pid))
+        if chosen.rosbridge is not None:
+            url = chosen.rosbridge
+            peers.append(Peer(url, url, "/bench/", chosen.process))
+        for peer in peers:
+            print(peer.name, await _cell(begin, peer), file=sys.stderr, flush=True)
+        for number in range(chosen.rounds):
+            for what, measured in rows.items():
+                load = f"{os.getloadavg()[0]:.1f}"
+                cells = [await _cell(measured, peer) for peer in peers]
+                without = bare_beside() if what == BESIDE else ""
+                table.append((f"{number + 1}: {what}", *cells, without, load))
+                print(*table[-1], sep=" | ", file=sys.stderr, flush=True)
     transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "as they come")
     title = (
         f"rosbridge v2 on ROS 2, {os.cpu_count()} cores, transports {transports}, "
@@ -402,13 +343,11 @@ def _what(line: Sequence[str]) -> int:
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rosbridge", help="address of another rosbridge server to compare with")
-    parser.add_argument("--process", type=int, help="process id of that server")
-    parser.add_argument("--before", type=Path, help="another checkout to compare with")
-    parser.add_argument("--rounds", type=int, default=1)
-    parser.add_argument("--only", default="", help="measure the rows only that have this in them")
-    asyncio.run(run(parser.parse_args()))
+    asked = parser(__doc__)
+    asked.add_argument("--rosbridge", help="address of another rosbridge server to compare with")
+    asked.add_argument("--process", type=int, help="process id of that server")
+    asked.add_argument("--only", default="", help="measure the rows only that have this in them")
+    asyncio.run(run(asked.parse_args()))
     return 0
 
 

@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from bench.tables import print_table
+from bench.turns import ROOT
 
 __all__ = [
     "class_names",
@@ -32,7 +33,6 @@ __all__ = [
     "words_of_texts",
 ]
 
-ROOT = Path(__file__).parent.parent
 AREAS = {
     "core": ("src",),
     "plugins": ("plugins/*/src",),

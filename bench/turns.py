@@ -8,12 +8,13 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ __all__ = [
     "running",
     "serving",
     "states",
+    "wait_for_port",
 ]
 
 ROOT = Path(__file__).parents[1]
@@ -127,8 +129,8 @@ def running(
     words: Sequence[str], end: signal.Signals | None = None, **more: Any
 ) -> Iterator[Child]:
     """Run a program until it is no longer needed: then its input ends, or it gets a signal."""
-    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, **more}
-    with subprocess.Popen(words, text=True, **pipes) as process:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, **more}
+    with subprocess.Popen(words, **pipes) as process:
         try:
             yield Child(process)
         finally:
@@ -138,6 +140,20 @@ def running(
                 process.communicate(timeout=_END_SECONDS)
             except subprocess.TimeoutExpired:
                 process.kill()
+
+
+def wait_for_port(port: int) -> None:
+    """Return once a program listens on a port of this machine.
+
+    Raises:
+        RuntimeError: none does for a long time.
+    """
+    until = time.monotonic() + _END_SECONDS
+    while time.monotonic() < until:
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+            return
+        time.sleep(0.05)
+    raise RuntimeError(f"nothing listens on port {port}")
 
 
 @contextmanager

@@ -11,17 +11,18 @@ from __future__ import annotations
 
 import json
 import select
-import subprocess
+import signal
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import IO
+from typing import IO, Any
 
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from bench.tables import print_table
+from bench.turns import module, running
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import ServerOptions, serve_in_thread
@@ -83,18 +84,15 @@ def _send(emitter: Emitter, arrivals: IO[bytes], count: int) -> float:
 @contextmanager
 def _client(url: str, path: str, emitter: Emitter) -> Iterator[IO[bytes]]:
     """Run a client in a process of its own that says when a message has arrived."""
-    command = (sys.executable, "-m", "bench.web_message", "--client", url, path)
-    with subprocess.Popen(command, stdout=subprocess.PIPE, bufsize=0) as process:
-        assert process.stdout is not None, "it is a pipe"
-        assert process.stdout.read(1) == b"o", "the client is not served"
-        try:
-            while not select.select([process.stdout], (), (), 1.0)[0]:  # until its stream is open
-                emitter.emit(MESSAGE)
-            time.sleep(SETTLE_SECONDS)
-            process.stdout.read(LARGE)
-            yield process.stdout
-        finally:
-            process.kill()
+    words = module("bench.web_message", "--client", url, path)
+    with running(words, signal.SIGKILL, bufsize=0, text=False) as client:
+        arrivals: Any = client.process.stdout
+        assert arrivals.read(1) == b"o", "the client is not served"
+        while not select.select([arrivals], (), (), 1.0)[0]:  # until its stream is open
+            emitter.emit(MESSAGE)
+        time.sleep(SETTLE_SECONDS)
+        arrivals.read(LARGE)
+        yield arrivals
 
 
 def _read(url: str, path: str) -> None:

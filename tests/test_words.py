@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from bench.structure import (
     AREAS,
-    ROOT,
     WORDS,
     class_names,
     loop_variables,
@@ -17,6 +16,7 @@ from bench.structure import (
     words_of_names,
     words_of_texts,
 )
+from bench.turns import ROOT
 
 # How many names of an area hold a word of the table: lower a number with what it counts, and
 # never raise one. What is not here is zero. `tell` is a method of files, and a pulse one of hearts.

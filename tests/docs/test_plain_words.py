@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 from attrs import frozen
-from bench.pages import ROOT, page_figures, pages, sentences_of
+from bench.pages import page_figures, pages, sentences_of
+from bench.turns import ROOT
 
 from uoarm.bridge import BridgeOptions, option, options_table
 
