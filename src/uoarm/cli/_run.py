@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 
 import click
 from rich.console import Console
@@ -48,7 +47,9 @@ from uoarm.model import (
 __all__ = ["call", "offer", "request"]
 
 _GLANCE_SECONDS = 0.25
+# What the one connection does then says why, or its end does.
 _DEATH = re.compile(r"component \S+ lost: |connection \S+ failed: ")
+_OFFER = re.compile("offer ")
 _FAILING = frozenset({"failed", "invalid", "unreadable"})
 
 
@@ -84,7 +85,7 @@ def request(
     asked for since others failed or did not match, the exit code is 4 and the last line says why.
     """
     with (
-        leaving_out(_Repeated()),  # until the manager is closed, which writes what is left
+        leaving_out(_Repeated(_DEATH)),  # until the manager is closed, which writes what is left
         open_robot(file) as robot,
         robot.request(name, validate=validate) as connection,
     ):
@@ -128,11 +129,15 @@ def call(name: str, message: str, file: str, *, timeout: float) -> None:
 
 
 class _Repeated(logging.Filter):
-    """Leaves out the records of deaths: what the one connection does then says why, or its end."""
+    """Leaves out records of what the command prints itself: a terminal would show it twice."""
+
+    def __init__(self, pattern: re.Pattern[str]) -> None:
+        super().__init__()
+        self._pattern = pattern
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Say whether a record is written."""
-        return _DEATH.match(record.getMessage()) is None
+        return self._pattern.match(record.getMessage()) is None
 
 
 class _Reading:
@@ -348,7 +353,7 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
     One line for each offer, and for each change after that. What cannot be opened is tried again.
     With --once the exit code is 4 where one could not be opened.
     """
-    with _without_record_of_offers(), open_robot(file) as robot:
+    with leaving_out(_Repeated(_OFFER)), open_robot(file) as robot:
         if not robot.config.offers:
             fail(f"{file} has no `offer:`", CONFIGURATION, "UOA-104")
         statuses = robot.offer()
@@ -384,21 +389,6 @@ def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: 
     robot.listen(print_event)
     if not _is_over(robot.status().offers):  # before the listener was there
         over.wait()
-
-
-@contextmanager
-def _without_record_of_offers() -> Iterator[None]:
-    """Leave out of the log what is printed on stdout: a terminal would show it twice."""
-
-    def is_other(record: logging.LogRecord) -> bool:
-        return not record.getMessage().startswith("offer ")
-
-    log = logging.getLogger("uoarm")
-    log.addFilter(is_other)
-    try:
-        yield
-    finally:
-        log.removeFilter(is_other)
 
 
 def _line(status: OfferStatus) -> str:

@@ -321,10 +321,6 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
                 if is_asked or not _is_in_force(manager, path):
                     _reload(manager)
 
-    def end() -> None:
-        over.set()
-        asked.set()
-
     thread = threading.Thread(target=run, name="uoarm-reload", daemon=True)
     thread.start()
     on_terminal = sys.stdin.isatty()
@@ -344,7 +340,8 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
     finally:
         if hangup is not None:
             signal.signal(hangup, former)
-        end()
+        over.set()
+        asked.set()
         thread.join(_END_SECONDS)
 
 
