@@ -171,17 +171,6 @@ def hanging_calls(url: str) -> str:
         return answers(made, 400)
 
 
-def wrong_type(url: str) -> str:
-    with client(url, path="/rosbridge") as subscriber, client(url, path="/rosbridge") as other:
-        subscriber.send('{"op":"subscribe","topic":"/chatter","type":"a/Wrong"}')
-        subscriber.send('{"op":"call_service","service":"/rosapi/get_time"}')
-        answers(subscriber, 1)
-        other.send('{"op":"advertise","topic":"/chatter","type":"a/Right","id":"a"}')
-        other.send('{"op":"call_service","service":"/rosapi/get_time"}')
-        first = answers(other, 1)
-        return "advertised" if first == "service_response" else f"publisher: {first}"
-
-
 def plain(url: str, *, deflate: bool = False) -> socket.socket:
     """Return a socket after a handshake, which is never read."""
     more = "Sec-WebSocket-Extensions: permessage-deflate\r\n" if deflate else ""
@@ -229,23 +218,6 @@ def half_open(url: str) -> str:
             made.append(client)
     time.sleep(SECONDS)
     return f"{len(made)} open"
-
-
-def two_hosts(url: str) -> str:
-    parts = urlsplit(url)
-    came: Counter[str] = Counter()
-    for line, more in (
-        ("/", f"Host: {parts.netloc}\r\nHost: x\r\n"),
-        ("//[x", "Host: localhost\r\n"),
-    ):
-        for _ in range(100):
-            with socket.create_connection((str(parts.hostname), int(parts.port or 0))) as client:
-                client.settimeout(SECONDS)
-                client.sendall(f"GET {line} HTTP/1.1\r\n{more}\r\n".encode())
-                came[
-                    client.recv(100).decode(errors="replace").partition("\r\n")[0][9:] or "cut"
-                ] += 1
-    return counted(came)
 
 
 def packed(text: bytes) -> bytes:
@@ -423,7 +395,6 @@ ATTACKS: Mapping[str, Attack] = {
     "data": Attack("4 times 20 x 2 MB for a component that hangs, then gone", data),
     "kills": Attack("10 times 100 kills of what hangs", kills),
     "calls": Attack("400 calls that hang, given up after 10 ms", hanging_calls),
-    "type": Attack("a subscriber with the wrong type, then the publisher", wrong_type),
     "pings": Attack("pings for five seconds, nothing read", flood(Opcode.PING, b"")),
     "tiny": Attack("List for five seconds, nothing read", flood(Opcode.TEXT, LIST.encode())),
     "half-open": Attack("500 handshakes that do not go on", half_open),
@@ -447,7 +418,6 @@ ATTACKS: Mapping[str, Attack] = {
         crowd(200, ROSAPI % ("topic_type", '{"topic":"/uoarm/f%d"}'), path="/rosbridge"), MANY,
     ),
     "metrics": Attack("metrics from 20 clients", pages(20), MANY),
-    "heads": Attack("100 times Host twice, 100 times the path //[x", two_hosts),
 }  # fmt: skip
 
 
