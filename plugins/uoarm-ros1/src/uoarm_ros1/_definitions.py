@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 from attrs import frozen
 
-from uoarm.cdr import number_schema, ros_unit
+from uoarm.cdr import BASIC, number_schema, ros_unit
 from uoarm.model import MessageStructure
 
 __all__ = [
@@ -30,19 +30,8 @@ __all__ = [
 _Schema: TypeAlias = dict[str, Any]
 
 NUMBERS: Mapping[str, str] = {
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-    # Names of old: what is called a byte has a sign, what is called a char has none.
-    "byte": "b",
-    "char": "B",
+    **{name: code for name, code in BASIC.items() if code not in {"", "?"}},
+    "byte": "b",  # a name of old, of what has a sign; what is called a char has none
 }
 """How `struct` and numpy call the numbers of ROS 1."""
 

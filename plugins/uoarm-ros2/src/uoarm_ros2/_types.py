@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 
 from attrs import field, frozen
 
+from uoarm.cdr import BASIC
 from uoarm.errors import BridgeError, FailureReason
 
 __all__ = [
@@ -102,18 +103,8 @@ def import_type(name: str) -> type:
     return found
 
 
-NUMBER_CODES = {
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
+_NO_NUMBERS = {"bool", "byte", "char", "string", "wstring"}
+NUMBER_CODES = {name: code for name, code in BASIC.items() if name not in _NO_NUMBERS}
 """How `array` and `struct` call the elements of a block of numbers."""
 
 _MAX_DEPTH = 32

@@ -9,7 +9,6 @@ from __future__ import annotations
 import binascii
 import math
 import operator
-import struct
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
@@ -19,6 +18,7 @@ import numpy as np
 import pybase64
 from attrs import field, frozen
 
+from uoarm.cdr import BASIC, FLOAT32_MAX, number_schema
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
 
@@ -34,15 +34,12 @@ __all__ = [
     "writer",
 ]
 
-FORMATS = {
-    "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I",
-    "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
-}  # fmt: skip
+_OF_EACH_ROS = {"bool", "byte", "char"}  # no numbers, or other ones in ROS 1 than in ROS 2
+FORMATS = {kind: code for kind, code in BASIC.items() if code and kind not in _OF_EACH_ROS}
 # As the Python of ROS 2 calls them, and names of old, of which each ROS has another idea.
 _OTHER_NAMES = {"boolean": "bool", "float": "float32", "double": "float64"}
 _NAMES_OF_ONE = {"byte": "int8", "char": "uint8"}
 _NAMES_OF_TWO = {"byte": "uint8", "octet": "uint8", "char": "uint8"}
-_FLOAT32_MAX = 340282346638528859811704183484516925440
 _FLOATS = ("float32", "float64")
 _MOST_TYPES, _MOST_FIELDS, _DEEPEST = 500, 20_000, 32
 _SHOWN = 60
@@ -235,16 +232,9 @@ def _schema(shape: RosShape) -> dict[str, Any]:
         if shape.size is not None:
             schema["minItems"] = schema["maxItems"] = shape.size
         return {**schema, "x-octets": True} if _is_octets(shape) else schema
-    if shape.kind == "bool":
-        return {"type": "boolean"}
     if shape.kind == "string":
         return {"type": "string", **({"x-native-type": "wstring"} if shape.is_wide else {})}
-    if shape.kind in _FLOATS:
-        schema = {"type": "number", "x-native-type": shape.kind, "x-nonfinite": True}
-        limits = {"minimum": -_FLOAT32_MAX, "maximum": _FLOAT32_MAX}
-        return {**schema, **limits} if shape.kind == "float32" else schema
-    least, most = _range(shape.kind)
-    return {"type": "integer", "x-native-type": shape.kind, "minimum": least, "maximum": most}
+    return number_schema(shape.kind, BASIC[shape.kind])
 
 
 def _is_octets(shape: ArrayOf) -> bool:
@@ -253,9 +243,8 @@ def _is_octets(shape: ArrayOf) -> bool:
 
 @lru_cache(maxsize=16)
 def _range(kind: str) -> tuple[int, int]:
-    bits = 8 * struct.calcsize(FORMATS[kind])
-    is_signed = kind.startswith("int")
-    return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if is_signed else (0, 2**bits - 1)
+    schema = number_schema(kind, FORMATS[kind])
+    return schema["minimum"], schema["maximum"]
 
 
 def _shown(value: object) -> str:
@@ -459,7 +448,7 @@ def _float(kind: str, path: str, value: Any) -> float:
         raise _misfit(path, f"a number ({kind})", value) from None
     if not math.isfinite(number):
         raise _misfit(path, "a finite number, as JSON has no other", value)
-    if kind == "float32" and abs(number) > _FLOAT32_MAX:
+    if kind == "float32" and abs(number) > FLOAT32_MAX:
         raise _misfit(path, "at most 3.4028234663852886e38 in size (float32)", value)
     return number
 
