@@ -50,11 +50,6 @@ BASIC = {
 """Every basic type and its format in `struct`; empty for texts."""
 
 _WHOLE = frozenset("bBhHiIqQ")
-_INTEGERS = (
-    ("uint8", 0, 2**8 - 1), ("int8", -(2**7), 2**7 - 1), ("uint16", 0, 2**16 - 1),
-    ("int16", -(2**15), 2**15 - 1), ("uint32", 0, 2**32 - 1), ("int32", -(2**31), 2**31 - 1),
-    ("uint64", 0, 2**64 - 1),
-)  # fmt: skip
 FLOAT32_MAX = 340282346638528859811704183484516925440
 """The greatest finite number of 32 bits."""
 
@@ -67,11 +62,11 @@ def basic_type(schema: Mapping[str, Any]) -> str:
     A framework's own name counts where ROS has it, too; then the bounds; then the widest type.
     """
     kind, native = schema.get("type"), str(schema.get("x-native-type"))
-    bounds = schema.get("minimum"), schema.get("maximum")
+    bounds: tuple[Any, Any] = schema.get("minimum"), schema.get("maximum")
     if kind == "integer":
         if BASIC.get(native) in _WHOLE:
             return native
-        return next((name for name, low, high in _INTEGERS if bounds == (low, high)), "int64")
+        return _NAMES[_CODES.get(bounds, "q")]
     known = _KINDS.get(kind) if isinstance(kind, str) else None
     if known is None:
         return ""
@@ -314,10 +309,7 @@ _NATIVE = {
     **BASIC, "octet": "B", "short": "h", "unsigned short": "H", "long": "i", "unsigned long": "I",
     "long long": "q", "unsigned long long": "Q",
 }  # fmt: skip
-_NAMES = {
-    "b": "int8", "B": "uint8", "h": "int16", "H": "uint16", "i": "int32", "I": "uint32",
-    "q": "int64", "Q": "uint64", "f": "float32", "d": "float64",
-}  # fmt: skip
+_NAMES = {code: name for name, code in BASIC.items() if name not in {"byte", "char"}}
 
 
 def layout_of(
