@@ -58,6 +58,7 @@ LAYERS = [
     {"_safety"},
     {"record"},
     {"_host"},
+    {"_bridges"},
     {"config"},
     {"_resolve"},
     {"_lock"},

@@ -42,7 +42,7 @@ _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 # Of what is called without a limit.
 _CONSTANTS = {
-    "uoarm._control.live.bridges": ("_START_SECONDS",),
+    "uoarm._bridges._bridge_set": ("_START_SECONDS",),
     "uoarm._control.candidates": ("_ASK_SECONDS", "_GRACE_SECONDS"),
     "uoarm._control.live.application_ports": ("_LAST_SECONDS",),
     "uoarm._control.live.component": ("_STOP_SECONDS",),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uoarm._control.live.bridges import Restarts
+from uoarm._bridges import Restarts
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.testing import ManualClock
 

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from uoarm._bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
 from uoarm._control.engine.events import Requested
 from uoarm._control.engine.move import recently
-from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revision, Revisions

@@ -16,10 +16,10 @@ from typing import Any, final, overload
 from uoarm import config
 from uoarm import record as recorder
 from uoarm._arguments import arguments
+from uoarm._bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
 from uoarm._control.configuration_changes import KeptFile
 from uoarm._control.connection import Connection
-from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
 from uoarm._control.live.staleness import StalenessWatch

@@ -6,10 +6,10 @@ import threading
 from collections.abc import Callable, Mapping
 
 from uoarm._arguments import arguments
+from uoarm._bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
 from uoarm._control.configuration_changes import ConfiguredRobot
 from uoarm._control.connection import Connection
-from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.threads import EventDispatcher
 from uoarm._control.offered_function import offered_structures
 from uoarm._control.requests import Requests, Services

@@ -12,7 +12,7 @@ from typing import Any
 from attrs import define, evolve, field
 
 from uoarm._adapt import transfer
-from uoarm._control.live.bridges import close_logged, facts_of
+from uoarm._bridges import close_logged, facts_of
 from uoarm._dataplane import (
     Clock,
     FailureWatch,

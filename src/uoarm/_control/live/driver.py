@@ -20,13 +20,13 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 
+from uoarm._bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.events import write_event
 from uoarm._control.engine.placement import Part
 from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
-from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDelivery, record_takeover
 from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts

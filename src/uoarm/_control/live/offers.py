@@ -9,10 +9,10 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 
+from uoarm._bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.state import OfferRecord
-from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.parts import StateOwner
 from uoarm._control.live.revisions import Revisions
 from uoarm._control.live.threads import EventDispatcher

@@ -14,6 +14,7 @@ from typing import Protocol, TypeVar
 
 from attrs import define
 
+from uoarm._bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import by_age, connection_of
@@ -28,7 +29,6 @@ from uoarm._control.engine.placement import (
 )
 from uoarm._control.engine.state import State, oldest_first
 from uoarm._control.live.application_ports import ApplicationPorts
-from uoarm._control.live.bridges import BridgeSet
 from uoarm._control.live.component import LiveComponent, LiveEdge
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._dataplane import Clock, FailureWatch, Route

@@ -18,11 +18,11 @@ from attrs import evolve, field, frozen
 
 from uoarm import _lock
 from uoarm._adapt import check_edge
+from uoarm._bridges import BridgeSet, StagedBridges
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.move import forget_earlier, recently
 from uoarm._control.engine.state import ConnectionRecord, State
-from uoarm._control.live.bridges import BridgeSet, StagedBridges
 from uoarm._control.live.parts import StateOwner
 from uoarm._dataplane import Clock
 from uoarm._resolve import Hold, Resolver, StructureCache, Unavailable, without_candidates

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from attrs import define, evolve
 
 from uoarm._backoff import Backoff
-from uoarm._control.live.machines import Joining, Machines
+from uoarm._bridges._machines import Joining, Machines
 from uoarm._dataplane import Clock
 from uoarm._origin import install_command
 from uoarm._raised import foreign, text_of
