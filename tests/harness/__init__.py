@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 import random
 import time
 from collections.abc import Generator
 from contextlib import ExitStack
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -91,11 +93,14 @@ def pytest_pycollect_makemodule(
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what modules need; with UOARM_TEST_ORDER=<number>, run in an order of that number."""
-    for item in items:
-        if kept := _needs.kept_by_module(_path(config, item.path)):
-            item.add_marker(pytest.mark.keeps(*kept))
-        if needs := _needs.of_module(_path(config, item.path)):
-            item.add_marker(pytest.mark.needs(*needs))
+    for module, found in itertools.groupby(items, attrgetter("path")):
+        path = _path(config, module)
+        kept, needs = _needs.kept_by_module(path), _needs.of_module(path)
+        for item in found if kept or needs else ():
+            if kept:
+                item.add_marker(pytest.mark.keeps(*kept))
+            if needs:
+                item.add_marker(pytest.mark.needs(*needs))
     if seed := os.environ.get(ORDER):
         stand = iter([item for item in items if _is_together(item)])
         random.Random(seed).shuffle(items)
