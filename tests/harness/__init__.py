@@ -116,6 +116,12 @@ def pytest_runtest_setup_of_needs(item: pytest.Item) -> None:
     _needs.check(item)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection() -> None:
+    """Leave garbage alone while tests are collected: nearly all that is made then stays."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
     """Freeze what collecting made.
 
@@ -126,6 +132,7 @@ def pytest_collection_finish() -> None:
     settings(max_examples=1, database=None)(given(none())(lambda _: None))()
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 _unfreeze = gc.unfreeze

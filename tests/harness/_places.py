@@ -33,6 +33,8 @@ _KEPT = {
     "UOARM_ROSLIB",
     "USER",
     "VIRTUAL_ENV",
+    # Each Python that lacks it starts itself again, where wheels of ROS 2 are installed.
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
 }
 _KEPT_GROUPS = (
     "COVERAGE_",
