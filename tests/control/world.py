@@ -384,8 +384,13 @@ class World:
         assert bool(move.group) == move.rule.is_beside
         assert (move.retry_at is not None) <= (move.phase is MovePhase.WAITING)
         assert (move.next is not None) == (move.phase in {MovePhase.OPENING, MovePhase.SWITCHING})
-        assert (move.reason is MoveReason.REQUEST) == (state is ConnectionState.OPENING)
+        # A first plan that lost something and could not be opened is replaced before the reply.
+        assert (state is ConnectionState.OPENING) == (
+            bool(connection.waiter) and move.reason is not MoveReason.END
+        )
         assert (move.reason is MoveReason.REQUEST) == (connection.current is None)
+        if state is ConnectionState.OPENING:
+            assert move.reason in {MoveReason.REQUEST, MoveReason.DEATH}
         assert (move.reason is MoveReason.END) == (state is ConnectionState.CLOSING)
         assert (move.reason is MoveReason.END) == (move.phase is MovePhase.DRAINING)
         if state is ConnectionState.WAITING:

@@ -68,6 +68,12 @@ class takes_long:
     def __iter__(self) -> Iterator[int]:
         yield 1
 
+class dies_young:
+    def __init__(self) -> None:
+        os.kill(os.getpid(), 9)
+    def __iter__(self) -> Iterator[int]:
+        yield 1
+
 def shout(value: int) -> int:
     for _ in range(value):
         print("x" * 100_000)

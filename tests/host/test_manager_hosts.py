@@ -98,6 +98,31 @@ def test_killing_the_host_fails_its_connections_with_the_cause(robot: RobotManag
     assert any("SIGKILL" in event.cause for event in events)
 
 
+YOUNG = """
+version: 1
+bridges:
+  far: {plugin: python, host: {silence: 60, variables: VARIABLES}}
+  near: {plugin: python}
+functions:
+  ticks:
+    components:
+      - {name: young, bridge: far, priority: 1, output: {endpoint: ["hosted_parts:dies_young"]}}
+      - {name: ticker, bridge: near, output: {endpoint: ["hosted_parts:forever"]}}
+""".replace("VARIABLES", str(hosted.PATIENT))
+
+
+def test_a_host_that_dies_as_a_request_opens_is_replaced_by_the_next_candidate(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "hosted_parts.py").write_text(hosted.COMPONENTS)
+    (tmp_path / "robot.yaml").write_text(YOUNG)
+    with RobotManager.from_file(tmp_path / "robot.yaml") as robot:
+        connection = robot.request("ticks")
+        assert connection.get(patience()) == 0
+        assert connection.plan.names == ("ticker",)
+        assert "killed by SIGKILL" in connection.gaps[0].cause
+
+
 def test_the_next_request_starts_a_new_host(robot: RobotManager) -> None:
     first = robot.call("where", 0)
     os.kill(first, signal.SIGKILL)

@@ -199,16 +199,42 @@ def test_what_dies_while_its_plan_opens_is_replaced_when_all_is_open(
     assert "it was unplugged" in connection.gaps[0].cause
 
 
-def test_a_bridge_that_dies_while_a_plan_opens_is_why_the_request_fails(
+def test_a_bridge_that_dies_while_a_plan_opens_is_replaced_before_the_reply(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stage = make()
     with requested(stage, monkeypatch) as (request, hang):
         stage.one.report(Health.LOST, "it was unplugged")
         hang.release()
+        connection = request.result(patience())
+    assert connection.plan.names == ("next", "finder")
+    stage.next.emit(2)
+    assert connection.get(patience()) == 2
+    assert "component 'best' was lost: it was unplugged" in connection.gaps[0].cause
+    wait(lambda: connection.gaps[0].counted)
+    assert stage.one.open_channels == 0
+    wait(stage.replaced)
+    changes = [event.change for event in stage.events if event.subject == "connection c1"]
+    assert changes == ["opening", "running", "replaced"]
+
+
+def test_a_bridge_that_dies_while_a_plan_opens_is_why_the_request_fails_without_another(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It fails at once, whatever `wait` says: who asked can ask again."""
+    stage = make(FailoverPolicy(wait=patience()))
+
+    def fail(endpoint: Endpoint, *_: Any) -> Channel:
+        raise BridgeError(f"{endpoint.address[0]} is busy")
+
+    with requested(stage, monkeypatch) as (request, hang):
+        monkeypatch.setattr(stage.two, "_open_source", fail)
+        stage.one.report(Health.LOST, "it was unplugged")
+        hang.release()
         error = request.exception(patience())
     assert isinstance(error, BridgeError)
-    assert "component 'best' was lost: it was unplugged" in str(error)
+    assert "component 'best' was lost: it was unplugged; nothing takes over" in str(error)
+    wait(lambda: (stage.one.open_channels, stage.two.open_channels) == (0, 0))
 
 
 def test_what_dies_while_its_plan_opens_ends_the_request_with_failover_off(

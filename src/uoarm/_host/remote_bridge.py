@@ -254,7 +254,10 @@ class RemoteBridge(Bridge):
         self._channels: dict[int, RemoteChannel] = {}
         self._facts: Mapping[str, object] = {}
         self._services = RequestWorkers(f"uoarm-serve-{spec.name}")
-        self._reported_death = threading.Lock()
+        # Held while it is reported, as who asks meanwhile fails only after that: what opens
+        # is then known to have died, and is replaced (`test_manager_hosts.py`).
+        self._reporting_death = threading.RLock()
+        self._has_reported_death = False
         settings = HostSettings.read(spec.host or {})
         connect: Callable[..., ProcessConnection | MachineConnection] = partial(
             ProcessConnection, origin=origin
@@ -468,9 +471,11 @@ class RemoteBridge(Bridge):
         self._report_death()
 
     def _report_death(self) -> None:
-        """Report the death once, when there is a listener."""
-        if self._listener is not None and self._reported_death.acquire(blocking=False):
-            self.report(Health.LOST, f"its bridge host died: {self._host.dead}")
+        """Report the death once, when there is a listener; return when that was done."""
+        with self._reporting_death:
+            if self._listener is not None and not self._has_reported_death:
+                self._has_reported_death = True
+                self.report(Health.LOST, f"its bridge host died: {self._host.dead}")
 
     def _on_health_event(self, event: Mapping[str, Any], reply: Reply) -> None:
         self.report(

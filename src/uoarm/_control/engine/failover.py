@@ -14,7 +14,6 @@ from uoarm._control.engine.move import Move, MovePhase, MoveReason, forget_earli
 from uoarm._control.engine.placement import ComponentRecord, Placement
 from uoarm._control.engine.state import ConnectionRecord, Preference, listed, oldest_first
 from uoarm._support.ordered import OrderedMap
-from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import ConnectionState, Health, Plan
 
 __all__ = [
@@ -22,7 +21,6 @@ __all__ = [
     "death",
     "drop_next",
     "end",
-    "fail_to_open",
     "finish_if_asked",
     "found",
     "hand_over",
@@ -320,13 +318,12 @@ def _lose_current(
         reason, phase, _, _, plan, group, *_ = before
         move = move._replace(reason=reason, phase=phase, next=plan, group=group)
     record = draft.put(record, move=move)
-    if record.state is ConnectionState.OPENING:
+    if not draft.policy.enabled:
+        end(draft, record, ConnectionState.FAILED, move.cause)
+    elif move.reason is MoveReason.REQUEST:
         # `replace_lost` follows: whether a source raises before the last part is open or after it
         # is chance, and both come to the same (`failures.txt`).
-        if not draft.policy.enabled:
-            fail_to_open(draft, record)
-    elif not draft.policy.enabled or not record.is_active:
-        end(draft, record, ConnectionState.FAILED, move.cause)
+        return
     elif move.phase is MovePhase.SWITCHING:
         return  # `inputs_switched` seeks for it, whatever the switch comes to
     elif move.group:
@@ -338,20 +335,10 @@ def _lose_current(
         seek(draft, record)
 
 
-def fail_to_open(draft: Draft, record: ConnectionRecord, lane: str = "") -> None:
-    """End a connection that lost components while it was being opened: its request fails."""
-    assert record.move is not None, "it is on its way to its first plan"
-    cause = record.move.cause
-    text = f"connection {record.id} ended while it was being opened: {cause}"
-    error = BridgeError(text, FailureReason.UNAVAILABLE)
-    end(draft, record, ConnectionState.FAILED, cause, lane, error=error)
-
-
 def replace_lost(draft: Draft, record: ConnectionRecord, opening: Move) -> None:
-    """Replace what a connection lost while it was being opened, now that it runs."""
-    if not opening.lost:
-        return
-    record = draft.put(record, move=opening.as_death())
+    """Replace what a connection lost while it was being opened, now that it runs or cannot."""
+    # What could not be opened ends as a plan that runs does: what it had open passes, and closes.
+    record = draft.put(record, current=record.placement, move=opening.as_death())
     if draft.policy.enabled:
         seek(draft, record)
     else:  # since a change of the configuration that came meanwhile
@@ -436,8 +423,9 @@ def found(draft: Draft, record: ConnectionRecord, event: ev.ReplacementSought) -
         draft.put(record, move=move)
         return
     until = move.since + move.rule.patience(draft.policy)
-    # At the time itself, too: the timer may be exact, and would otherwise be asked for now.
-    if draft.now >= until:
+    # At the time itself, too: the timer may be exact, and would otherwise be asked for now. A
+    # request that waits for its reply learns at once what it cannot have.
+    if draft.now >= until or record.waiter:
         text = f"{move.cause}; nothing takes over: {event.error}"
         end(draft, record, ConnectionState.FAILED, text)
         return
@@ -491,7 +479,7 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
     assert move is not None, "there is a move that comes to its end"
     assert after is not None, "there is a plan to hand over to"
     rule, cause = move.rule, move.rule.cause or move.cause
-    waited = record.state is ConnectionState.WAITING
+    ran, waiter = record.state is ConnectionState.RUNNING, record.waiter
     # The first plan that was lost, however many follow: it returns to that one, in one step.
     preferred = None
     if draft.policy.return_after is not None and rule.remembers:
@@ -504,6 +492,7 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
     # it again, nor the move gone and the plan that died still in place.
     record = draft.put(
         record,
+        waiter="",
         state=ConnectionState.RUNNING,
         cause="",
         current=after,
@@ -521,8 +510,10 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
         ),
         act.Publish(record),
     ]
-    if waited:
+    if not ran:
         draft.announce(record, record.state.value)
+    if waiter:  # what its request opened first died before all of that was open
+        draft.do(act.Reply(waiter))
     new = [n for n in after.plan.names if after.components[n] != before.components.get(n)]
     successors = f"{', '.join(new or after.plan.names[-1:])} {'go' if len(new) > 1 else 'goes'} on"
     played = [
@@ -539,7 +530,7 @@ def hand_over(draft: Draft, record: ConnectionRecord) -> None:
     # application receives from the new one.
     parts = draft.start_draining(record.id, before, move.lost, ports=before.ports != after.ports)
     draft.do(act.Finish(lane, record.id, parts, before, move.lost))
-    if finished:
+    if finished or waiter:
         finish_if_asked(draft, record)
     if preferred is not None:
         look_later(draft, record)

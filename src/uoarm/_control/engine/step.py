@@ -23,7 +23,13 @@ from uoarm._control.engine.failover import end, finish_if_asked
 from uoarm._control.engine.move import RULES, Move, MovePhase, MoveReason, OnOpenFailure
 from uoarm._control.engine.placement import Kind, Part, Placement
 from uoarm._control.engine.state import ConnectionRecord, State, oldest_first
-from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
+from uoarm.errors import (
+    BridgeError,
+    ConnectionClosedError,
+    FailureReason,
+    ResolutionError,
+    UsageError,
+)
 from uoarm.model import ConnectionState, Health, Plan, PortRef
 
 __all__ = ["Remaining", "desired", "difference", "step"]
@@ -250,7 +256,8 @@ def _run(draft: Draft, record: ConnectionRecord) -> None:
     draft.announce(record, RULES[MoveReason.REQUEST].announced)
     draft.do(act.Reply(waiter))
     finish_if_asked(draft, record)
-    failover.replace_lost(draft, record, move)
+    if move.lost:
+        failover.replace_lost(draft, record, move)
 
 
 def _opened(draft: Draft, event: ev.Opened) -> None:
@@ -282,7 +289,7 @@ def _failed_to_open(
         case OnOpenFailure.ENDS:
             draft.do(act.Forget(record.placement.plan.names))
             if move.lost:  # which is why, whatever the opening says of it
-                failover.fail_to_open(draft, record, record.waiter)
+                failover.replace_lost(draft, record, move)
             else:
                 end(draft, record, ConnectionState.FAILED, str(error), record.waiter, error=error)
         case OnOpenFailure.STAYS:
@@ -337,8 +344,10 @@ def _ended(draft: Draft, event: ev.Ended) -> None:
     assert move is not None, "it was on its way to its end"
     error = move.error
     if error is None and record.waiter:
-        text = f"connection {record.id} ended while it was being opened"
-        error = ConnectionClosedError(f"{text}: {record.cause or 'kill'}")
+        text = f"connection {record.id} ended while it was being opened: {record.cause or 'kill'}"
+        error = ConnectionClosedError(text)
+        if move.outcome is ConnectionState.FAILED and not move.killer:
+            error = BridgeError(text, FailureReason.UNAVAILABLE)
     record = record._replace(state=move.outcome)
     draft.publish(record)
     draft.actions += [act.Reply(record.waiter, error)] if record.waiter else []
@@ -386,7 +395,7 @@ def _time_reached(draft: Draft, event: ev.TimeReached) -> None:
 def _replacement_sought(draft: Draft, event: ev.ReplacementSought) -> None:
     # A death, a kill or a change since the search began has begun another, or none.
     record = draft.connections.get(event.connection)
-    if record is None or record.attempt != event.attempt or not record.is_active:
+    if record is None or record.attempt != event.attempt:
         return
     if event.switchover:
         switchover.found(draft, record, event)

@@ -157,10 +157,9 @@ class Driver:
                 # Before it, too: a lane that is not reserved is served by a worker thread.
                 self._lanes.reserve(event.waiter)
                 self.post(event)
-                is_quick = self._lanes.is_quick(event.waiter)
-                if is_quick:  # sharing what is open costs no hop
-                    self._lanes.drive(event.waiter)
-            if not is_quick:
+                waiter = event.waiter  # sharing what is open costs no hop
+                is_over = self._lanes.is_quick(waiter) and self._lanes.drive_quick(waiter)
+            if not is_over:
                 deadlines.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         except BaseException as error:
             # Given up, by the limit or by Ctrl-C. A thread may be opening parts for it still; what
