@@ -26,14 +26,16 @@ from uoarm.schema import Verdict
 from uoarm.server.access._approvals import Approval, ApprovalRequest, Approvals
 from uoarm.server.session._views import show_approval
 
-_AUDITED = Approvals._report
+# What several functions write together.
+_SHOWN = (show_approval, Approval.facts)
+_AUDITED = (Approvals._report, Approval.facts)
 WRITTEN: tuple[tuple[type, Callable[..., Any] | Any, dict[str, str]], ...] = (
     (
         Approval,
-        show_approval,
+        _SHOWN,
         {"expires": "`left` says how long it is valid still", "used": "`uses` says how often"},
     ),
-    (ApprovalRequest, show_approval, {}),
+    (ApprovalRequest, _SHOWN, {}),
     (
         Approval,
         _AUDITED,
@@ -100,18 +102,23 @@ def is_written(source: str, name: str) -> bool:
     return f".{name}" in source
 
 
+def _name(value: Any) -> str:
+    return getattr(value, "__qualname__", None) or getattr(value, "__name__", "")
+
+
 @pytest.mark.parametrize(
     ("kind", "writes", "left_out"),
     WRITTEN,
-    ids=lambda value: getattr(value, "__qualname__", None) or getattr(value, "__name__", ""),
+    ids=lambda value: " and ".join(map(_name, value if isinstance(value, tuple) else (value,))),
 )
 def test_each_field_is_written_or_left_out_for_a_reason(
     kind: Any, writes: Any, left_out: dict[str, str]
 ) -> None:
-    source = inspect.getsource(writes)
+    together = writes if isinstance(writes, tuple) else (writes,)
+    source = "".join(map(inspect.getsource, together))
     names = {attribute.name for attribute in attrs.fields(kind)}
     forgotten = {name for name in names - left_out.keys() if not is_written(source, name)}
-    text = f"write these in {writes.__name__}, or list why they are left out"
+    text = f"write these in {_name(together[0])}, or list why they are left out"
     assert not forgotten, f"{kind.__name__}: {text}: {sorted(forgotten)}"
     assert left_out.keys() <= names, f"{kind.__name__} has no such field any more"
 

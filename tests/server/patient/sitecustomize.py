@@ -7,8 +7,6 @@ import importlib.util
 import os
 from pathlib import Path
 
-import uoarm.server  # noqa: F401 - its limits are lengthened
-
 patience = float(os.environ["UOARM_TEST_PATIENCE"])
 file = Path(__file__).parents[2] / "harness" / "_limits.py"
 spec = importlib.util.spec_from_file_location("limits_of_tests", file)
@@ -16,4 +14,4 @@ assert spec is not None
 assert spec.loader is not None
 limits = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(limits)
-limits.lengthen(patience)
+limits.LongLimits(patience).install()
