@@ -103,7 +103,7 @@ def is_written(source: str, name: str) -> bool:
 
 
 def _name(value: Any) -> str:
-    return getattr(value, "__qualname__", None) or getattr(value, "__name__", "")
+    return str(getattr(value, "__qualname__", None) or getattr(value, "__name__", ""))
 
 
 @pytest.mark.parametrize(
