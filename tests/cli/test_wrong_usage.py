@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import click
 import pytest
+import yaml
 from click.testing import CliRunner
 
-from uoarm.cli import main
+from uoarm.cli import _main, main
+from uoarm.cli._discover import _merge_into
 from uoarm.cli._main import COMMANDS
 from uoarm.error_codes import ERROR_CODES
+from uoarm.testing import patience
 
 PLUGINS = {point.name for point in entry_points(group="uoarm.commands")}
 
@@ -86,3 +91,113 @@ def test_an_error_is_an_object_of_json_and_help_is_none(tmp_path: Path) -> None:
     assert (shown.exit_code, shown.stderr) == (0, "")
     assert CliRunner().invoke(main, ["explain", "002"]).stdout.startswith("UOA-002")
     assert "UOA-002" in ERROR_CODES
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "1e300"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("request", "camera", "--duration"),
+        ("call", "greeting", "--timeout"),
+        ("resolve", "camera", "--timeout"),
+        ("discover", "--timeout"),
+        ("status", "--every"),
+        ("up", "--every"),
+        ("host", "--silence"),
+        ("record", "camera", "--ring"),
+    ],
+    ids=" ".join,
+)
+def test_what_no_clock_can_wait_for_is_refused(words: tuple[str, ...], seconds: str) -> None:
+    done = CliRunner().invoke(main, [*words, seconds])
+    assert (done.exit_code, done.stderr.splitlines()[-1]) == (2, "uoarm explain UOA-002 says more")
+
+
+@pytest.mark.parametrize("url", ["ws://127.0.0.1:99999/", "ws://[::1/", "ws://robot:x/"])
+def test_an_address_that_cannot_be_one_is_refused_before_anything_is_tried(url: str) -> None:
+    done = CliRunner().invoke(main, ["status", "--url", url])
+    assert (done.exit_code, url in done.stderr) == (2, True), done.stderr
+
+
+ROBOT = """version: 1
+bridges: {python: {}}
+functions:
+  camera: {components: [{name: odd, bridge: python, output: {endpoint: ["odd:source"]}}]}
+  ask: {components: [{name: answer, bridge: python, service: {endpoint: ["odd:answer"]}}]}
+"""
+ODD = """from collections.abc import Iterator
+from typing import TypedDict
+class Number(TypedDict):
+    number: int
+def source() -> Iterator[Number]:
+    yield {"number": 10**5000}
+def answer(number: int) -> int:
+    return 10**5000
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    (tmp_path / "odd.py").write_text(ODD)
+    path = tmp_path / "robot.yaml"
+    path.write_text(ROBOT)
+    return str(path)
+
+
+@pytest.mark.parametrize("place", ["absent/robot.lock", "folder"])
+def test_a_lock_that_cannot_be_written_is_said_with_the_name_that_was_given(
+    place: str, file: str, tmp_path: Path
+) -> None:
+    (tmp_path / "folder").mkdir()
+    target = tmp_path / place
+    done = CliRunner().invoke(main, ["lock", "-f", file, "--lock", str(target)])
+    assert done.exit_code == 3, done.output
+    assert "cannot be written" in done.stderr
+    assert f"'{target}'" in done.stderr
+
+
+def test_a_suggestion_that_cannot_be_written_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        _merge_into(tmp_path / "absent" / "robot.yaml", b"", ROBOT)
+    said = capsys.readouterr().err
+    assert (ended.value.code, "cannot be written" in said) == (1, True), said
+    assert said.splitlines()[-1].strip() == "uoarm explain UOA-003 says more"
+
+
+@pytest.mark.parametrize("words", [("request", "camera"), ("call", "ask", "1")])
+def test_a_message_without_a_form_in_json_is_an_error_and_no_crash(
+    words: tuple[str, ...], file: str
+) -> None:
+    done = CliRunner().invoke(main, [*words, "-f", file])
+    assert (done.exit_code, "cannot be written as JSON" in done.stderr) == (1, True), done.output
+
+
+@pytest.mark.parametrize("name", ["pad", "", "yes", "a, b", "# x", "a\nb", "Jörg", "12"])
+def test_the_line_of_a_token_is_yaml_whatever_its_name_is(name: str) -> None:
+    done = CliRunner().invoke(main, ["token", "--role", "driver: x", "--", name])
+    [line] = yaml.safe_load(done.stdout)
+    assert (line["name"], line["role"]) == (name, "driver: x")
+
+
+def test_a_command_of_a_plugin_that_is_not_installed_says_what_installs_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_main, "entry_points", lambda group: [])
+    done = CliRunner().invoke(main, ["fleet"])
+    assert (done.exit_code, "pip install" in done.stderr) == (2, True), done.stderr
+    assert "uoarm-remote" in done.stderr
+
+
+def test_help_for_which_there_is_no_room_is_said_as_anything_else() -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "uoarm", "--help"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            timeout=2 * patience(),
+        )
+    assert (done.returncode, "nothing more can be written" in done.stderr) == (1, True)

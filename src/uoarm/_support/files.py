@@ -43,6 +43,10 @@ def written_beside(
             file.flush()
             os.fsync(file.fileno())
         yield lambda: part.replace(path)
+    except OSError as error:
+        if error.filename == str(part):  # who reads the error knows only the file that was meant
+            error.filename, error.filename2 = str(path), None
+        raise
     finally:
         part.unlink(missing_ok=True)
 

@@ -15,7 +15,17 @@ from uoarm import RobotManager
 from uoarm._support.files import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._file import STANDARD, DefaultConfiguration, takes_configuration
-from uoarm.cli._shared import BRIDGE, every_option, fitted, json_option, print_json, reporting
+from uoarm.cli._shared import (
+    BRIDGE,
+    REFUSED,
+    Seconds,
+    every_option,
+    fail,
+    fitted,
+    json_option,
+    print_json,
+    reporting,
+)
 from uoarm.config import is_blank, load, merge
 from uoarm.config import suggest as suggestion_for
 from uoarm.errors import UsageError
@@ -33,7 +43,7 @@ _OWN_HEALTH = "status"  # a plugin whose component is the manager, not one of th
 
 _timeout_option = click.option(
     "--timeout",
-    type=click.FloatRange(min=0.1, max=600),
+    type=Seconds(min=0.1, max=600),
     default=10.0,
     show_default=True,
     help="Seconds for each bridge, its start included.",
@@ -140,7 +150,10 @@ def _merge_into(path: Path, before: bytes, lines: str) -> None:
     if merged == before:
         click.echo(f"{path}: it has everything already")
         return
-    write_whole(path, merged)
+    try:
+        write_whole(path, merged)
+    except OSError as error:
+        fail(f"{path} cannot be written: {error}", REFUSED, "UOA-003")
     click.echo(f"{path}: {len(merged.splitlines()) - len(before.splitlines())} lines added")
 
 

@@ -14,7 +14,7 @@ from uoarm._forks import default_in_children
 from uoarm.bridge import Registry
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._log import at_least
-from uoarm.cli._shared import needing, reporting
+from uoarm.cli._shared import Seconds, needing, reporting
 from uoarm.config import load
 from uoarm.errors import CommandLineError
 from uoarm.model import Component, Endpoint, place_problem
@@ -45,7 +45,7 @@ _GLANCE_SECONDS = 0.2
 )
 @click.option(
     "--silence",
-    type=click.FloatRange(min=0.5),
+    type=Seconds(min=0.5),
     default=3.0,
     show_default=True,
     help="With --join: seconds after which a silent link counts as cut.",

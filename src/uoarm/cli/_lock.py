@@ -181,7 +181,7 @@ def lock(
     """Write down what all plans rest on, or check it.
 
     Exit codes: 0 written, or everything still fits; 1 a function has no plan, or something does not
-    fit as it is; 3 a file cannot be read; 4 a bridge failed, or there is no such environment.
+    fit as it is; 3 a file cannot be read or written; 4 a bridge failed, or no such environment.
     """
     if not check and (against is not None or environment is not None):
         raise click.UsageError("--against and --environment belong to --check")
@@ -235,7 +235,7 @@ def open_unlocked(file: str) -> Iterator[RobotManager]:
 def _write(file: str, path: Path) -> int:
     with open_unlocked(file) as robot:
         made = lock_of(robot)
-    write_whole(path, write_lock(made).encode())
+    _write_file(path, write_lock(made))
     refused = {
         name: function.refused for name, function in made.functions.items() if function.refused
     }
@@ -293,7 +293,7 @@ def types(file: str, form: str | None, path: str | None, output: str | None) -> 
         if output is None:
             click.echo(text, nl=False)
         else:
-            _write_stubs(Path(output), text)
+            _write_file(Path(output), text)
     refused = [name for name, function in robot.functions.items() if function.refused]
     for name in refused:
         print_warning(f"{name} has no plan: no types")
@@ -313,7 +313,7 @@ def _source(file: str, path: str | None) -> Lock:
     return lock
 
 
-def _write_stubs(path: Path, text: str) -> None:
+def _write_file(path: Path, text: str) -> None:
     try:
         write_whole(path, text.encode())
     except OSError as error:

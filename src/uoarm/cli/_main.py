@@ -10,8 +10,8 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -42,6 +42,12 @@ __all__ = ["COMMANDS", "PluginGroup", "main"]
 _GROUP = "uoarm.commands"
 _HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # which click 8.1 has not
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
+
+# Plugins of ours by the command that they bring.
+_BROUGHT: Mapping[str, str] = {
+    "fleet": "uoarm-remote", "mcp": "uoarm-mcp", "rocos": "uoarm-rocos", "ros2": "uoarm-ros2",
+    "rtm": "uoarm-rtm",
+}  # fmt: skip
 
 # By name: a command's module and object, and its line of `uoarm --help`, which imports none.
 COMMANDS: Mapping[str, tuple[str, str, str]] = {
@@ -92,7 +98,8 @@ class PluginGroup(click.Group):
         """Read the words before the command; what is wrong with them has a code of errors."""
         as_json = "--json" in args
         try:
-            context = super().make_context(info_name, args, parent, **extra)
+            with _writing():
+                context = super().make_context(info_name, args, parent, **extra)
         except click.UsageError as error:
             _fail_with_usage(error, as_json=as_json)
         context.meta[JSON] = as_json
@@ -101,7 +108,8 @@ class PluginGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command. Whatever ends it is said in one way, with its code of errors."""
         try:
-            return super().invoke(ctx)
+            with _writing():
+                return super().invoke(ctx)
         except KeyboardInterrupt:  # which click would report as a failure, with the code of one
             click.echo("interrupted", err=True)
             sys.exit(INTERRUPTED)
@@ -111,12 +119,6 @@ class PluginGroup(click.Group):
             fail(error.format_message(), error.exit_code)
         except UoarmError as error:
             fail(error, exit_code_of(error))
-        except OSError as error:
-            if error.errno not in _NO_ROOM:
-                raise
-            with suppress(OSError, ValueError):  # what waits would fail once more when Python ends
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            fail(f"nothing more can be written: {error.strerror}", REFUSED, "UOA-003")
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return our own commands, then those of plugins."""
@@ -139,6 +141,10 @@ class PluginGroup(click.Group):
         point = next(
             (entry for entry in entry_points(group=_GROUP) if entry.name == cmd_name), None
         )
+        if point is None and cmd_name in _BROUGHT:
+            from uoarm._origin import install_command  # noqa: PLC0415 - for mistakes only
+
+            ctx.fail(f"{cmd_name!r} belongs to a plugin: {install_command(_BROUGHT[cmd_name])}")
         return None if point is None else _command(point)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -155,6 +161,19 @@ class PluginGroup(click.Group):
         found = self.get_command(ctx, name)
         assert found is not None
         return found
+
+
+@contextmanager
+def _writing() -> Iterator[None]:
+    """Say that there is no room for what is printed, also for help."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _NO_ROOM:
+            raise
+        with suppress(OSError, ValueError):  # what waits would fail once more when Python ends
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        fail(f"nothing more can be written: {error.strerror}", REFUSED, "UOA-003")
 
 
 def _fail_with_usage(error: click.UsageError, *, as_json: bool) -> NoReturn:

@@ -19,6 +19,7 @@ from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
     FunctionArgument,
+    Seconds,
     json_option,
     open_robot,
     print_error,
@@ -50,7 +51,7 @@ _MEBI = 1024 * 1024
     type=click.Path(dir_okay=False, path_type=Path),
     help="The MCAP file; where one is there already, a number is added.",
 )
-@click.option("--duration", type=click.FloatRange(min=0, min_open=True), help="End after seconds.")
+@click.option("--duration", type=Seconds(min=0, min_open=True), help="End after seconds.")
 @click.option("--max-size", metavar="SIZE", help="End when all files have so much, such as 2GB.")
 @click.option("--split", metavar="SIZE|TIME", help="Begin a new file after 512MB, 10min or so.")
 @click.option(
@@ -61,7 +62,7 @@ _MEBI = 1024 * 1024
 )
 @click.option(
     "--ring",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Seconds(min=0, min_open=True),
     metavar="SECONDS",
     help="Keep so much in memory; write it when something is lost or fails, or at SIGUSR1.",
 )

@@ -13,6 +13,7 @@ from datetime import datetime, timezone
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, TypeVar, cast
+from urllib.parse import urlsplit
 
 import click
 from attrs import field, fields_dict, frozen
@@ -32,6 +33,10 @@ def _checked_url(_: click.Context, __: click.Parameter, url: str | None) -> str 
     """Refuse what is no address of a server before anything is tried."""
     if url is not None and not url.startswith(("ws://", "wss://")):
         raise click.BadParameter(f"expected ws://HOST:PORT/ or wss://HOST:PORT/, got {url!r}")
+    try:
+        urlsplit(url or "").port  # noqa: B018 - looking at it is what refuses it
+    except ValueError as error:
+        raise click.BadParameter(f"{url!r}: {error}") from error
     return url
 
 

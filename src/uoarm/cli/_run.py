@@ -22,6 +22,7 @@ from uoarm.cli._log import leaving_out
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
+    Seconds,
     fail,
     fitted,
     function_argument,
@@ -30,7 +31,7 @@ from uoarm.cli._shared import (
     plain,
     print_warning,
 )
-from uoarm.errors import UsageError
+from uoarm.errors import MessageError, UsageError
 from uoarm.model import (
     ConnectionState,
     Health,
@@ -57,7 +58,7 @@ _FAILING = frozenset({"failed", "invalid", "unreadable"})
 @function_argument(serves=False)
 @takes_configuration("name")
 @click.option("-n", "--count", type=click.IntRange(min=1), help="End after so many messages.")
-@click.option("--duration", type=click.FloatRange(min=0), help="End after so many seconds.")
+@click.option("--duration", type=Seconds(min=0), help="End after so many seconds.")
 @click.option(
     "--validate",
     type=click.Choice([mode.value for mode in ValidationMode]),
@@ -98,7 +99,7 @@ def request(
             _show_live(robot, connection, reading)
         else:
             for message in reading:
-                click.echo(write_json(plain(message)))
+                click.echo(_text_of(message))
         failure = reading.failure()
     if failure:
         fail(failure, BRIDGE, "UOA-805")
@@ -110,7 +111,7 @@ def request(
 @takes_configuration("name", "message")
 @click.option(
     "--timeout",
-    type=click.FloatRange(min=0),
+    type=Seconds(min=0),
     default=10.0,
     show_default=True,
     help="Seconds that the reply may take.",
@@ -125,7 +126,19 @@ def call(name: str, message: str, file: str, *, timeout: float) -> None:
     except ValueError as error:
         raise click.BadParameter(f"not JSON: {error}", param_hint="MESSAGE") from error
     with open_robot(file) as robot:
-        click.echo(write_json(plain(robot.call(name, asked, timeout=timeout))))
+        click.echo(_text_of(robot.call(name, asked, timeout=timeout)))
+
+
+def _text_of(message: Message, most: int | None = None) -> str:
+    """Return a message as JSON, with buffers as `plain` has them.
+
+    Raises:
+        MessageError: it has no form there, as one that nothing checked may not.
+    """
+    try:
+        return write_json(plain(message, most))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise MessageError(f"a message cannot be written as JSON: {error}") from error
 
 
 class _Repeated(logging.Filter):
@@ -290,7 +303,7 @@ def _show_live(robot: RobotManager, connection: Connection, messages: Iterable[M
     with Live(get_renderable=table, console=console, refresh_per_second=period):
         for message in messages:
             if shown.has_line():
-                line = write_json(plain(message, _ITEMS))[: console.width + 1]
+                line = _text_of(message, _ITEMS)[: console.width + 1]
                 console.print(Text(line), no_wrap=True, overflow="ellipsis")
 
 

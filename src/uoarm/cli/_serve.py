@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import logging
 import os
+import re
 import signal
 import socket
 import sys
@@ -250,7 +252,17 @@ def token(name: str, role: str) -> None:
 
     made = make_token()
     click.echo(f"token: {made}", err=True)
-    click.echo(f"  - {{name: {name}, role: {role}, sha256: {hash_token(made)}}}")
+    words = f"name: {_yaml(name)}, role: {_yaml(role)}, sha256: {hash_token(made)}"
+    click.echo(f"  - {{{words}}}")
+
+
+def _yaml(text: str) -> str:
+    """Return text as YAML reads it, in quotes where it would be something else without."""
+    is_word = re.fullmatch(r"[A-Za-z][\w-]*", text, re.ASCII) is not None
+    return text if is_word and text.lower() not in _KEYWORDS else json.dumps(text)
+
+
+_KEYWORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
 
 
 def stop_file_of(configuration: str) -> Path:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FunctionArgument",
+    "Seconds",
     "every_option",
     "exit_code_of",
     "fail",
@@ -116,10 +117,29 @@ def function_argument(*, serves: bool | None = None) -> Callable[[F], F]:
     return click.argument("name", cls=FunctionArgument, serves=serves)
 
 
+class Seconds(click.FloatRange):
+    """A number of seconds that a clock can wait for: a billion at most, which NaN is not."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number.
+
+        Raises:
+            click.BadParameter: it is none, or out of range.
+        """
+        seconds = float(super().convert(value, param, ctx))
+        if not seconds <= _MOST_SECONDS:
+            self.fail(f"expected seconds, a billion at most, got {value}", param, ctx)
+        return seconds
+
+
+_MOST_SECONDS = 1e9
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 every_option = click.option(
     "--every",
-    type=click.FloatRange(min=0.1),
+    type=Seconds(min=0.1),
     default=2.0,
     show_default=True,
     help="Seconds between two looks of --watch.",

@@ -24,6 +24,7 @@ from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
     REFUSED,
+    Seconds,
     fail,
     function_argument,
     json_option,
@@ -150,7 +151,7 @@ def _saying_that_it_waits(timeout: float) -> Iterator[None]:
 @click.option("--explain", is_flag=True, help="Print the whole plan and what was passed over.")
 @click.option(
     "--timeout",
-    type=click.FloatRange(min=0.1, max=600),
+    type=Seconds(min=0.1, max=600),
     default=60.0,
     show_default=True,
     help="Seconds to start bridges, learn what they see and find the plan.",

@@ -15,7 +15,7 @@ from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
 from uoarm.cli._file import DefaultConfiguration, takes_configuration
 from uoarm.cli._serve import cannot_listen, listening_options, say, stop_file_of, stopping
-from uoarm.cli._shared import json_option, needing, reporting
+from uoarm.cli._shared import Seconds, json_option, needing, reporting
 from uoarm.config import add_functions, load
 from uoarm.errors import ConnectionClosedError, UoarmError
 from uoarm.model import BridgeFindings, Robot, to_json, write_json
@@ -33,7 +33,7 @@ _RESOLVE_SECONDS = 10.0
 @listening_options
 @click.option(
     "--every",
-    type=click.FloatRange(min=0.1),
+    type=Seconds(min=0.1),
     default=2.0,
     show_default=True,
     help="Seconds between two looks.",
