@@ -315,8 +315,13 @@ def _lose_current(
     elif before is not None:
         # Its reason stays until it is known below whether the move can be left: a connection never
         # has a second one beside it.
-        reason, phase, _, _, plan, group, *_ = before
-        move = move._replace(reason=reason, phase=phase, next=plan, group=group)
+        move = before._replace(
+            since=move.since,
+            cause=move.cause,
+            lost=move.lost,
+            dead=move.dead,
+            excluded=move.excluded,
+        )
     record = draft.put(record, move=move)
     if not draft.policy.enabled:
         end(draft, record, ConnectionState.FAILED, move.cause)

@@ -157,8 +157,7 @@ class Driver:
                 # Before it, too: a lane that is not reserved is served by a worker thread.
                 self._lanes.reserve(event.waiter)
                 self.post(event)
-                waiter = event.waiter  # sharing what is open costs no hop
-                is_over = self._lanes.is_quick(waiter) and self._lanes.drive_quick(waiter)
+                is_over = self._lanes.drive_quick(event.waiter)  # sharing costs no hop
             if not is_over:
                 deadlines.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         except BaseException as error:

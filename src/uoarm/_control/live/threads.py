@@ -94,13 +94,6 @@ class Lanes:
                 lane.jobs.put(_Done(error))
                 lane.is_waited_for = False
 
-    def is_quick(self, name: str) -> bool:
-        """Say whether `drive_quick` is for it: there is something to do, all of it quick."""
-        with self._lock:
-            lane = self._lanes.get(name)
-            are_quick = () if lane is None or lane.is_waited_for else lane.are_quick
-        return bool(are_quick) and all(is_quick() for is_quick in are_quick)
-
     def drive(self, name: str) -> None:
         """Do the jobs of a lane that was reserved, in this thread, until the reply.
 
@@ -122,14 +115,21 @@ class Lanes:
         self._end(name, job)
 
     def drive_quick(self, name: str) -> bool:
-        """Do the jobs that are in a lane, which are quick; False: the reply is for `drive`.
+        """Do the jobs of a lane that was reserved, where there are some and all are quick.
+
+        Returns:
+            Whether that was all; False: the rest, or all of it, is for `drive`, with a time limit.
 
         Raises:
             BaseException: the error of the reply.
         """
+        with self._lock:
+            lane = self._lanes[name]
+            are_quick = () if lane.is_waited_for else lane.are_quick
+        if not (are_quick and all(is_quick() for is_quick in are_quick)):
+            return False
         # Where what was quick to open has died by now, another plan is sought, and a wait for that
         # needs a time limit.
-        lane = self._lanes[name]
         while not lane.jobs.empty():
             if isinstance(job := lane.jobs.get_nowait(), _Done):
                 self._end(name, job)
