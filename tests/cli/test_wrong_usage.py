@@ -174,7 +174,9 @@ def test_a_message_without_a_form_in_json_is_an_error_and_no_crash(
     assert (done.exit_code, "cannot be written as JSON" in done.stderr) == (1, True), done.output
 
 
-@pytest.mark.parametrize("name", ["pad", "", "yes", "a, b", "# x", "a\nb", "Jörg", "12"])
+@pytest.mark.parametrize(
+    "name", ["pad", "", "yes", "a, b", "# x", "a\nb", "Jörg", "12", "\U0001f916"]
+)
 def test_the_line_of_a_token_is_yaml_whatever_its_name_is(name: str) -> None:
     done = CliRunner().invoke(main, ["token", "--role", "driver: x", "--", name])
     [line] = yaml.safe_load(done.stdout)

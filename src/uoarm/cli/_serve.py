@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import json
 import logging
 import os
 import re
@@ -22,6 +21,7 @@ import click
 from uoarm import RobotManager
 from uoarm._forks import default_in_children
 from uoarm._support.files import stamp_of
+from uoarm._support.yaml import write_flow
 from uoarm._version import __version__
 from uoarm.cli._announce import Announcement
 from uoarm.cli._file import takes_configuration
@@ -259,7 +259,7 @@ def token(name: str, role: str) -> None:
 def _yaml(text: str) -> str:
     """Return text as YAML reads it, in quotes where it would be something else without."""
     is_word = re.fullmatch(r"[A-Za-z][\w-]*", text, re.ASCII) is not None
-    return text if is_word and text.lower() not in _KEYWORDS else json.dumps(text)
+    return text if is_word and text.lower() not in _KEYWORDS else write_flow(text)
 
 
 _KEYWORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import glob
-import json
 import re
 import time
 from collections.abc import Callable, Container, Iterable, Iterator
 
 from attrs import define, evolve, field, frozen
 
+from uoarm._support.yaml import write_flow
 from uoarm.model import (
     BridgeFindings,
     FoundComponent,
@@ -183,7 +183,7 @@ def _lines(
     yield f"      - name: {proposal.name}"
     yield f"        bridge: {proposal.bridge}"
     if parameters := proposal.ports[0].endpoint.parameters:
-        yield f"        parameters: {_flow(parameters)}"
+        yield f"        parameters: {write_flow(to_json(parameters))}"
     for service in proposal.of(Role.SERVICE):
         yield f"        service: {{endpoint: {_address(service)}}}{_unknown(service)}"
     for key, role in (("inputs", Role.INPUT), ("outputs", Role.OUTPUT)):
@@ -249,15 +249,7 @@ def _port(port: FoundPort) -> str:
 
 
 def _address(port: FoundPort) -> str:
-    return _flow(port.endpoint.address)
-
-
-def _flow(value: object) -> str:
-    """Return a value as YAML in one line: as JSON, but for characters that only YAML escapes."""
-    text = json.dumps(to_json(value), ensure_ascii=False)
-    return "".join(
-        character if character.isprintable() else f"\\U{ord(character):08x}" for character in text
-    )
+    return write_flow(to_json(port.endpoint.address))
 
 
 def _unknown(port: FoundPort) -> str:

@@ -3,7 +3,15 @@
 from typing import TYPE_CHECKING
 
 from uoarm._deferred import deferred
-from uoarm._support.yaml._document import Document, Path, Position, Problem, clip, write_path
+from uoarm._support.yaml._document import (
+    Document,
+    Path,
+    Position,
+    Problem,
+    clip,
+    write_flow,
+    write_path,
+)
 
 if TYPE_CHECKING:
     from uoarm._support.yaml._reader import ReadBudget, read, read_file
@@ -17,6 +25,7 @@ __all__ = [
     "clip",
     "read",
     "read_file",
+    "write_flow",
     "write_path",
 ]
 

@@ -76,6 +76,14 @@ def write_path(path: tuple[str | int, ...]) -> str:
     return "$" + "".join(_step(part) for part in path)
 
 
+def write_flow(value: object) -> str:
+    """Write a value as YAML in one line: as JSON, but for characters that only YAML escapes."""
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(
+        character if character.isprintable() else f"\\U{ord(character):08x}" for character in text
+    )
+
+
 def _step(part: str | int) -> str:
     if isinstance(part, int):
         return f"[{part}]"
