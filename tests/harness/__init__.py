@@ -95,12 +95,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Mark what modules need; with UOARM_TEST_ORDER=<number>, run in an order of that number."""
     for module, found in itertools.groupby(items, attrgetter("path")):
         path = _path(config, module)
-        kept, needs = _needs.kept_by_module(path), _needs.of_module(path)
-        for item in found if kept or needs else ():
-            if kept:
-                item.add_marker(pytest.mark.keeps(*kept))
-            if needs:
-                item.add_marker(pytest.mark.needs(*needs))
+        named = {"keeps": _needs.kept_by_module(path), "needs": _needs.of_module(path)}
+        marks = [getattr(pytest.mark, name)(*given) for name, given in named.items() if given]
+        for item, mark in itertools.product(found, marks):
+            item.add_marker(mark)
     if seed := os.environ.get(ORDER):
         stand = iter([item for item in items if _is_together(item)])
         random.Random(seed).shuffle(items)
