@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from uoarm._interrupts import Uninterrupted
-from uoarm._raised import ContainedError, LimitedLog, foreign, is_raised, text_of
+from uoarm._raised import ContainedError, LimitedLog, foreign, is_raised, sentence_of, text_of
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, MessageError
 from uoarm.testing import ManualClock
 
@@ -40,6 +42,35 @@ def test_the_text_of_an_error_is_bounded_and_never_raises() -> None:
 
     assert text_of(Broken()) == "Broken, whose text raised OSError"
     assert len(text_of(ValueError("x" * 10_000))) == 1000
+    assert len(text_of(ValueError("\ud800" * 1000))) == 1000
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (KeyboardInterrupt(), "KeyboardInterrupt"),
+        (ValueError(" \n"), "ValueError"),
+        (ValueError("too hot\n"), "ValueError: too hot"),
+        (ValueError("\ud800"), "ValueError: \\ud800"),
+        (MessageError(), "MessageError"),
+        (BridgeError(""), "BridgeError"),
+    ],
+)
+def test_a_text_is_complete_and_can_be_written(error: BaseException, text: str) -> None:
+    assert text_of(error) == text
+
+
+def test_an_error_of_uoarm_without_a_text_says_its_kind() -> None:
+    assert str(MessageError()) == sentence_of(MessageError()) == "MessageError"
+    assert sentence_of(MessageError("a field is missing")) == "a field is missing"
+    assert sentence_of(TimeoutError()) == "TimeoutError"
+
+
+def test_no_text_of_an_exception_is_put_together_elsewhere() -> None:
+    by_hand = re.compile(r"type\((\w+)\)\.__name__\}: \{\1\}")
+    root = Path(__file__).parents[1]
+    sources = [*root.glob("src/**/*.py"), *root.glob("plugins/*/src/**/*.py")]
+    assert [path for path in sources if by_hand.search(path.read_text("utf-8"))] == []
 
 
 def test_records_beyond_the_limit_are_counted_in_the_next_one(
@@ -91,7 +122,7 @@ def test_what_foreign_code_raises_is_an_exception_of_it_in_every_thread(
     with pytest.raises(ContainedError) as caught:
         foreign(quit_with, error)
     assert caught.value.__cause__ is error
-    assert text_of(caught.value) == f"{type(error).__name__}: {error}"
+    assert text_of(caught.value) == f"{type(error).__name__}: {error}".removesuffix(": ")
     assert is_raised(caught.value)
     assert isinstance(in_thread(partial(foreign, quit_with, error)), ContainedError)
 

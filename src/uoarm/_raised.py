@@ -25,6 +25,7 @@ __all__ = [
     "from_own_frames",
     "is_interrupt",
     "is_raised",
+    "sentence_of",
     "text_of",
 ]
 
@@ -137,18 +138,26 @@ def is_raised(error: BaseException) -> bool:
 
 
 def text_of(error: BaseException) -> str:
-    """Return type and text of an error, a thousand characters at most.
+    """Return type and text of an error, or its type alone: a thousand characters at most.
 
-    Never raises, but for what interrupts the main thread.
+    It can be written as UTF-8. Never raises, but for what interrupts the main thread.
     """
     if isinstance(error, ContainedError):
         return str(error)
+    text = type(error).__name__
     try:
-        text = f"{type(error).__name__}: {foreign(str, error)}"
+        said = foreign(str, error).strip()
+        if said not in {"", text}:
+            text += f": {said}"
     except Exception as other:  # noqa: BLE001 - foreign, as the error is
         raised = other.__cause__ if isinstance(other, ContainedError) else other
-        text = f"{type(error).__name__}, whose text raised {type(raised).__name__}"
-    return text[:_LENGTH]
+        text += f", whose text raised {type(raised).__name__}"
+    return text[:_LENGTH].encode(errors="backslashreplace").decode()[:_LENGTH]
+
+
+def sentence_of(error: BaseException) -> str:
+    """Return the text of an error of uoarm, which says all; of another one what `text_of` does."""
+    return str(error) if isinstance(error, UoarmError) else text_of(error)
 
 
 class LimitedLog:

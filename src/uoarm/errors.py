@@ -42,7 +42,7 @@ class UoarmError(Exception):
     """The root of every error that this library raises on purpose.
 
     Args:
-        text: what is wrong, and what to do.
+        text: what is wrong, and what to do; "": the name of the class.
         error_code: where it is a more special one than that of the class.
 
     Attributes:
@@ -52,7 +52,7 @@ class UoarmError(Exception):
     error_code = "UOA-001"
 
     def __init__(self, text: str = "", *, error_code: str = "") -> None:
-        super().__init__(text)
+        super().__init__(text or type(self).__name__)
         if error_code:
             self.error_code = error_code
 

@@ -12,6 +12,7 @@ from typing import TypeAlias, TypeVar
 
 from attrs import define, evolve
 
+from uoarm._raised import sentence_of
 from uoarm._resolve._catalogue import StructureCache, Unavailable
 from uoarm._support import deadlines
 from uoarm._support.workers import WorkerPool
@@ -190,7 +191,7 @@ class Discovery:
         question.missed += 1
         if isinstance(question.answer, UoarmError | None) or question.missed > self._kept:
             error_code = error.error_code if isinstance(error, UoarmError) else "UOA-409"
-            text = str(error) or type(error).__name__
+            text = sentence_of(error)
             question.answer = UoarmError(text, error_code=error_code)
 
 

@@ -4,7 +4,7 @@ from uoarm._backoff import Backoff
 from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
-from uoarm._raised import foreign
+from uoarm._raised import foreign, text_of
 from uoarm._turns import TurnCounter, Turns
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
 from uoarm.bridge._channel import Channel, Outcomes, ReceiveQueue, Sink, Source
@@ -90,4 +90,5 @@ __all__ = [
     "options_table",
     "reading_endpoint",
     "refuse_loop",
+    "text_of",
 ]

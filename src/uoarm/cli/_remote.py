@@ -19,6 +19,7 @@ import click
 from attrs import field, fields_dict, frozen
 
 from uoarm import errors
+from uoarm._raised import text_of
 from uoarm._support.tls import client_context, show_certificate
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting
@@ -176,7 +177,7 @@ def _cause(error: Exception) -> str:
         return "it admits no client without a token (--token) that its access file has"
     if isinstance(error, InvalidMessage):
         return "no HTTP is spoken there: with TLS it is wss://"
-    return f"{type(error).__name__}: {error}"
+    return text_of(error)
 
 
 _MOST_OCTETS = 1_000_000

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from uoarm import RobotManager
-from uoarm._raised import foreign, text_of
+from uoarm._raised import foreign, sentence_of
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
 from uoarm.cli._file import DefaultConfiguration, takes_configuration
@@ -163,7 +163,7 @@ def _following(follower: _Follower, every: float) -> Iterator[None]:
             try:
                 foreign(follower.look)
             except Exception as error:  # noqa: BLE001 - plugins and what is printed may raise anything
-                failure = str(error) if isinstance(error, UoarmError) else text_of(error)
+                failure = sentence_of(error)
             if failure not in {"", said} and not over.is_set():
                 click.echo(f"looking for components failed: {failure}", err=True)
             said = failure

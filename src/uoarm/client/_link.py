@@ -19,6 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.frames import CloseCode
 
 from uoarm._backoff import Backoff
+from uoarm._raised import text_of
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.bridge import boot_seconds
@@ -339,7 +340,7 @@ def _timed(identity: str) -> dict[str, Any]:
 
 
 def _strange(error: Exception) -> str:
-    return f"the server sent what is no message: {type(error).__name__}: {str(error)[:200]}"
+    return f"the server sent what is no message: {text_of(error)[:250]}"
 
 
 _PORT = 443

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from uoarm._mistakes import schema_mistakes
-from uoarm._raised import foreign, text_of
+from uoarm._raised import foreign, sentence_of, text_of
 from uoarm._spelling import Speller
 from uoarm._support import deadlines
 from uoarm._support.yaml import Document, Path, Problem, clip
@@ -25,7 +25,7 @@ from uoarm.config._parts import (
     problem_at,
 )
 from uoarm.config._shape import ShapeChecker, assignables, installation
-from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Role, Schema
 
 __all__ = ["PluginChecker"]
@@ -114,7 +114,7 @@ class PluginChecker:
                     found = foreign(list, self._without_structure(kind, component, known))
                     self._undescribed.extend(found)
             except Exception as error:  # noqa: BLE001 - a component may raise anything
-                sentence = str(error) if isinstance(error, UoarmError) else text_of(error)
+                sentence = sentence_of(error)
                 if isinstance(error, BridgeError) and error.reason is FailureReason.BAD_ENDPOINT:
                     yield self._problem((*ports[0].path, "endpoint"), sentence)
                     continue
@@ -224,7 +224,7 @@ class PluginChecker:
             ask = partial(check, kind.value_of(written, folder_of(self._file)), frozenset(places))
             found = dict(foreign(deadlines.run, step, _PARAMETER_SECONDS, ask))
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything
-            sentence = str(error) if isinstance(error, UoarmError) else text_of(error)
+            sentence = sentence_of(error)
             found = {(): f"its addresses cannot be looked at here: {sentence}"}
         for address, sentence in found.items():
             for path in places.get(address, [whole]):

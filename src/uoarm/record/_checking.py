@@ -16,6 +16,7 @@ from attrs import define, frozen
 from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, parse
 from uoarm._dataplane import make_check
 from uoarm._origin import install_command
+from uoarm._raised import text_of
 from uoarm.errors import BridgeError, FailureReason, MessageError, PluginError, UoarmError
 from uoarm.model import (
     Component,
@@ -111,7 +112,7 @@ class BagReader:
         except Exception as error:
             text = (
                 f"{self.path} cannot be read: expected an MCAP file, a .bag of ROS 1 or a folder "
-                f"of rosbag2 ({type(error).__name__}: {error})"
+                f"of rosbag2 ({text_of(error)})"
             )
             if self.path.suffix == ".bag" and self.path.is_file():
                 text += "; `rosbag reindex` makes the index of a bag that was cut short"

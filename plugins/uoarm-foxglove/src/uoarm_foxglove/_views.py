@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any, TypeAlias
 
+from uoarm.bridge import text_of
 from uoarm.cdr import RosDefinition, serialiser, structure_of_definition
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
@@ -123,7 +124,7 @@ def _codec(kind: str, make: Make) -> StructureCodec:
         try:
             made = make(message)
         except (KeyError, TypeError, ValueError, IndexError, OverflowError, struct.error) as error:
-            text = f"{kind}: {type(error).__name__}: {error}"
+            text = f"{kind}: {text_of(error)}"
             raise MessageError(f"a message cannot be drawn as {text}") from error
         return b"".join(serialise(made))
 

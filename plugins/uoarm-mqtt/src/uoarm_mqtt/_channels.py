@@ -21,6 +21,7 @@ from uoarm.bridge import (
     ServiceStructures,
     Sink,
     Source,
+    text_of,
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message
@@ -371,7 +372,7 @@ class ServedTopic(Channel):
         except Exception as error:  # noqa: BLE001 - of the handler: the caller gets its text
             self._failed += 1
             payload = b""
-            more["UserProperty"] = (_FAILED, f"{type(error).__name__}: {error}"[:1000])
+            more["UserProperty"] = (_FAILED, text_of(error))
         try:
             self._link.publish(topic, payload, _ignore, qos=1, more=more)
         except Exception:  # noqa: BLE001 - not connected any more, or no topic

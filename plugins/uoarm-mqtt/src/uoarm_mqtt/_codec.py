@@ -9,6 +9,7 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm.bridge import text_of
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import (
     Budget,
@@ -75,7 +76,7 @@ class PayloadCodec:
         try:
             payload = self._encode(message)
         except (TypeError, ValueError, RecursionError) as error:
-            text = f"no content {self.content!r} of MQTT: {type(error).__name__}: {error}"
+            text = f"no content {self.content!r} of MQTT: {text_of(error)}"
             raise MessageError(text) from error
         if len(payload) > self.budget.octets:
             allowed = f"{self.budget.octets:,} are allowed (max_octets)"
@@ -91,7 +92,7 @@ class PayloadCodec:
         try:
             return self._decode(payload, content_type)
         except (ControlMessageError, TypeError, ValueError, RecursionError) as error:
-            text = f"{type(error).__name__}: {error}"
+            text = text_of(error)
             raise MessageError(f"a payload of {len(payload):,} octets: {text}") from error
 
     def _encode(self, message: Message) -> bytes:

@@ -9,6 +9,7 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm.bridge import text_of
 from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
 from uoarm.model import Budget, Health
 from uoarm_mqtt._codec import PayloadCodec
@@ -43,7 +44,7 @@ class PresenceStatus:
             if options.member:
                 value = PayloadCodec("json", _SMALL).decode(payload)[options.member]
         except (MessageError, ControlMessageError, KeyError, TypeError, IndexError) as error:
-            text = f"what cannot be read ({type(error).__name__}: {error})"
+            text = f"what cannot be read ({text_of(error)})"
             return cls(Health.LOST, f"{options.topic} says {text}")
         cause = f"{options.topic} says {json.dumps(value)[:80]}"
         if value == options.online:

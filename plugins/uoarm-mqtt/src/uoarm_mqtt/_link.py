@@ -19,7 +19,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from uoarm.bridge import Backoff, Disconnection
+from uoarm.bridge import Backoff, Disconnection, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
 from uoarm_mqtt._options import ConnectionOptions
@@ -467,7 +467,7 @@ class BrokerConnection:
     def _on_connect_fail(self, client: Client, user: Any) -> None:
         del client, user
         error = sys.exc_info()[1]  # paho calls this while it handles it
-        self._down(f"{type(error).__name__}: {error}" if error else "it could not be reached")
+        self._down(text_of(error) if error else "it could not be reached")
 
     def _on_disconnect(
         self,
@@ -484,7 +484,7 @@ class BrokerConnection:
 
     def _on_ended(self, error: Exception | None) -> None:
         if error is not None:
-            self._down(f"the MQTT client failed: {type(error).__name__}: {error}", final=True)
+            self._down(f"the MQTT client failed: {text_of(error)}", final=True)
         with self._changed:
             self._running = False
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from uoarm.bridge import MOST_HOPS, Description, Discovered
+from uoarm.bridge import MOST_HOPS, Description, Discovered, text_of
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, MessageStructure, Role, Schema, message_octets
 from uoarm_remote._link import ManagerLink
@@ -98,7 +98,7 @@ def _reading_plan(place: str, function: str) -> Iterator[None]:
     try:
         yield
     except (AttributeError, LookupError, TypeError, ValueError) as error:
-        text = f"{place}: its plan of {function!r} cannot be read: {type(error).__name__}: {error}"
+        text = f"{place}: its plan of {function!r} cannot be read: {text_of(error)}"
         raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
 
 

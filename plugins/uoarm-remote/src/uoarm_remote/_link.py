@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 
 from websockets.exceptions import InvalidHandshake, InvalidStatus
 
-from uoarm.bridge import Backoff, asking_managers, refuse_loop
+from uoarm.bridge import Backoff, asking_managers, refuse_loop, text_of
 from uoarm.client import RemoteRobot, ServerAddress, ServerError, ThreadAnswer, trust_fingerprint
 from uoarm.errors import (
     BridgeError,
@@ -465,7 +465,7 @@ def why_unreachable(error: BaseException) -> str:
     if isinstance(error, ssl.SSLCertVerificationError):
         why = f"its certificate is not trusted: {error.verify_message}"
         return f"{why}; compare `fingerprint` with what `uoarm serve` prints there"
-    return f"{type(error).__name__}: {error}"
+    return text_of(error)
 
 
 def _token(path: Path) -> str:

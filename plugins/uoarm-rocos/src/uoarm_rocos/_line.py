@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from uoarm.bridge import Backoff, TurnCounter
+from uoarm.bridge import Backoff, TurnCounter, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._transport import TICK_SECONDS, LineTransport
@@ -226,7 +226,7 @@ class DeviceLine:
         except BridgeError as error:
             self._broken = str(error)  # the line's thread does the rest
         except BaseException as error:  # what was read is lost, whatever it is
-            self._broken = f"{type(error).__name__}: {error}"
+            self._broken = text_of(error)
             raise
 
     def stop(self) -> None:
@@ -293,7 +293,7 @@ class DeviceLine:
             return str(error)
         except Exception as error:  # noqa: BLE001 - a replaced transport may raise anything
             _log.warning("line %s", self.name, exc_info=True)
-            return f"{type(error).__name__}: {error}"
+            return text_of(error)
         finally:
             with self._reading, self._sending:
                 self._transport = None

@@ -10,6 +10,7 @@ from contextlib import suppress
 
 import serial
 
+from uoarm.bridge import text_of
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._options import LineOptions, tcp_address
 
@@ -221,4 +222,4 @@ def _write_now(descriptor: int, data: bytes, what: str) -> int:
 
 
 def _line_error(what: str, error: Exception) -> LineError:
-    return LineError(f"{what}: {type(error).__name__}: {error}")
+    return LineError(f"{what}: {text_of(error)}")

@@ -12,7 +12,7 @@ from typing import Any
 
 from attrs import define, field
 
-from uoarm.bridge import Channel, Description, Handler, ServedRequests
+from uoarm.bridge import Channel, Description, Handler, ServedRequests, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm_ros1._definitions import RosRecord
@@ -395,7 +395,7 @@ class ServedAction(Channel):
         self._end(served, PREEMPTED if was_cancelled else SUCCEEDED, result, "")
 
     def _abort(self, request: tuple[_Served, Message], error: Exception) -> None:
-        self._end(request[0], ABORTED, None, f"{type(error).__name__}: {error}"[:1000])
+        self._end(request[0], ABORTED, None, text_of(error))
 
     def _end(self, served: _Served, status: int, result: Message | None, text: str) -> None:
         with self._lock:

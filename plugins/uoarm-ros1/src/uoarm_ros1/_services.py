@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 
-from uoarm.bridge import Channel, Handler
+from uoarm.bridge import Channel, Handler, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Message
 from uoarm_ros1._definitions import RosService
@@ -301,7 +301,7 @@ class ServedService(Channel):
             octets = self._write(reply)
         except Exception as error:  # noqa: BLE001 - of the handler: the caller gets it
             self._failed += 1
-            text = f"{type(error).__name__}: {error}"[:1000].encode("utf-8", "replace")
+            text = text_of(error).encode("utf-8", "replace")
             return b"\0" + LENGTH.pack(len(text)) + text
         self._answered += 1
         return b"\1" + octets

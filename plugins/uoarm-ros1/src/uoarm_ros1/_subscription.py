@@ -13,7 +13,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.bridge import Backoff
+from uoarm.bridge import Backoff, text_of
 from uoarm.errors import BridgeError
 from uoarm_ros1._master import call_api, connect, failure_text
 from uoarm_ros1._publication import keep_alive
@@ -200,7 +200,7 @@ class _Publisher:
             except (OSError, ProtocolError, BridgeError) as error:
                 cause = str(error)
             except Exception as error:  # noqa: BLE001 - of what takes messages: it is reported
-                cause = f"{type(error).__name__}: {error}"
+                cause = text_of(error)
             header, self.failure, self.header = self.header, cause, None
             if self._closed.is_set():
                 break

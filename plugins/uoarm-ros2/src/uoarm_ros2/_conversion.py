@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uoarm.bridge import text_of
 from uoarm.cdr import FLOAT32_MAX
 from uoarm.errors import MessageError
 from uoarm.model import Message
@@ -433,7 +434,7 @@ def _explained(record: RecordType, message: Message, error: Exception) -> Messag
     """Return the error that names the field on which the generated function stumbled."""
     found = _fault(record, message, "")
     if found is None:
-        return MessageError(f"{record.name}: {type(error).__name__}: {error}")
+        return MessageError(f"{record.name}: {text_of(error)}")
     path, cause = found
     return MessageError(f"{record.name}: field {path or '(the whole message)'}: {cause}")
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm.bridge import text_of
 from uoarm.errors import ConfigurationError, PluginError
 
 __all__ = [
@@ -263,7 +264,7 @@ def _errors_naming(path: Path) -> Any:
             yield
     except (Exception, SystemExit) as error:  # a generator's own, of any sort
         printed = " ".join(said.getvalue().split())
-        text = f"{path}: {type(error).__name__}: {error}"[:500]
+        text = f"{path}: {text_of(error)}"[:500]
         raise ConfigurationError(f"{text} ({printed[:500]})" if printed else text) from error
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from attrs import field, frozen
 
-from uoarm.bridge import install_command
+from uoarm.bridge import install_command, text_of
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
 from uoarm_ros2._message_file import (
@@ -151,7 +151,7 @@ class DefinitionReader:
             except ValueError as error:
                 self._leave_out(path, str(error))
             except Exception as error:  # noqa: BLE001 - a parser of others, and files of others
-                self._leave_out(path, f"{type(error).__name__}: {error}")
+                self._leave_out(path, text_of(error))
 
     def _take_file(self, path: Path) -> None:
         if path.stat().st_size > _MAX_OCTETS:

@@ -258,11 +258,12 @@ def configure(peer: PeerComponent, message: Message, seconds: float) -> Message:
             if written or message.get("activate"):
                 _write(target, before, message, written)
             now = _read(target)
-        except (SDOPackage.InvalidParameter, SDOPackage.NotAvailable) as error:
-            text = f"{what}: {type(error).__name__}: {error.description}"
-            raise BridgeError(text, FailureReason.REFUSED) from error
-        except SDOPackage.InternalError as error:
-            text = f"{what}: {error.description}"
+        except (
+            SDOPackage.InvalidParameter,
+            SDOPackage.NotAvailable,
+            SDOPackage.InternalError,
+        ) as error:
+            text = ": ".join(filter(None, (what, type(error).__name__, error.description)))
             raise BridgeError(text, FailureReason.REFUSED) from error
     _kept(what, _name(before, message), written, now)
     doubts = _doubts(before, written)

@@ -14,6 +14,7 @@ from attrs import field, frozen
 from jsonschema import Draft202012Validator, SchemaError
 from uoarm_mqtt.connection import PayloadCodec
 
+from uoarm.bridge import text_of
 from uoarm.errors import ConfigurationError, MessageError
 from uoarm.model import Budget, Message, MessageStructure, Schema, read_json
 from uoarm_vda5050._releases import HEADER, TOPICS, VdaRelease, body_of
@@ -145,7 +146,7 @@ def check_of(schema: Schema) -> Check:
                 where = "/".join(map(str, error.absolute_path)) or "the message"
                 return f"{where}: {error.message[:300]}"
         except Exception as error:  # noqa: BLE001 - of a user's schema: references, numbers, depth
-            text = f"{type(error).__name__}: {error}"[:300]
+            text = text_of(error)[:300]
             return f"it cannot be held against the schema: {text}"
         return ""
 

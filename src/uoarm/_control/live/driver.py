@@ -36,7 +36,7 @@ from uoarm._control.offered_function import Functions
 from uoarm._dataplane import Clock
 from uoarm._forks import generation
 from uoarm._interrupts import Uninterrupted
-from uoarm._raised import foreign
+from uoarm._raised import foreign, sentence_of
 from uoarm._resolve import keep_candidates
 from uoarm._safety import EmergencyStop
 from uoarm._spans import current, span
@@ -165,7 +165,7 @@ class Driver:
             # it has opened comes back as an event, and is closed since no plan uses it any more.
             with Uninterrupted():
                 self._lanes.abandon(event.waiter)
-                self.kill(runtime.id, str(error) or type(error).__name__, is_failure=True)
+                self.kill(runtime.id, sentence_of(error), is_failure=True)
                 self.live.runtimes.pop(runtime.id, None)
             raise
 

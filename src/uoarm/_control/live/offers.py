@@ -19,6 +19,7 @@ from uoarm._control.live.threads import EventDispatcher
 from uoarm._control.offered_function import Functions, OfferedFunction, offered_structures
 from uoarm._dataplane import Clock
 from uoarm._interrupts import Uninterrupted
+from uoarm._raised import sentence_of
 from uoarm.bridge import HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import Health, Offer, OfferState, OfferStatus, Robot, RouteStatus, StatusEvent
@@ -136,7 +137,7 @@ class Offers:
             if not isinstance(error, UoarmError):
                 _log.exception("offering %s failed", offer.name)
             self._opened.pop(action.name, None)
-            cause = str(error) or type(error).__name__
+            cause = sentence_of(error)
             return ev.OfferOpened(action.name, action.number, cause)
         finally:
             self._working.discard(threading.get_ident())

@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 import msgpack
 
 from uoarm import errors
+from uoarm._raised import text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UoarmError
 from uoarm.model import Message
 
@@ -114,7 +115,7 @@ def unpack(frame: Frame) -> Message:
     except MessageError:
         raise
     except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
-        raise MessageError(f"a frame cannot be read: {type(error).__name__}: {error}") from error
+        raise MessageError(f"a frame cannot be read: {text_of(error)}") from error
 
 
 def _read(frame: Frame) -> Message:
@@ -266,7 +267,7 @@ def to_failure(error: BaseException) -> dict[str, str]:
         return {"kind": type(error).__name__, "text": str(error), "reason": error.reason.value}
     if isinstance(error, UoarmError):
         return {"kind": type(error).__name__, "text": str(error)}
-    text = f"the bridge host failed: {type(error).__name__}: {error}"
+    text = f"the bridge host failed: {text_of(error)}"
     return {"kind": "BridgeError", "text": text, "reason": FailureReason.RAISED.value}
 
 

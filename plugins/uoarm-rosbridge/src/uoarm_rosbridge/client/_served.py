@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from attrs import define
 
-from uoarm.bridge import Channel, Handler, ServedRequests
+from uoarm.bridge import Channel, Handler, ServedRequests, text_of
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Message
 from uoarm_rosbridge.client._channels import Report, plain
@@ -106,7 +106,7 @@ class _Served(Channel):
         self._answer(request, self._types.write(self._handler(arguments)))
 
     def _refuse(self, request: ServedRequest, error: Exception) -> None:
-        named = f"{type(error).__name__}: {error}"[:1000]
+        named = text_of(error)
         self._fail(request, str(error) if isinstance(error, BridgeError) else named)
 
     @abstractmethod

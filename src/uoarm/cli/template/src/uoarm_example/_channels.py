@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.bridge import Channel, Delivery, Handler, ReceiveQueue, Sink, Source, foreign
+from uoarm.bridge import Channel, Delivery, Handler, ReceiveQueue, Sink, Source, foreign, text_of
 from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
 from uoarm.model import Budget, BudgetUse, Endpoint, Health, Message, scan_json
 from uoarm_example._connection import ExampleConnection
@@ -209,7 +209,7 @@ class ExampleService(Channel):
             reply = {"payload": encode(foreign(self._handler, decode(event["payload"])))}
             self._joined.health.passed()
         except Exception as error:  # noqa: BLE001 - of the handler: its caller gets the text
-            reply = {"error": f"{type(error).__name__}: {error}"}
+            reply = {"error": text_of(error)}
         try:
             self._connection.post("reply", call=event["call"], **reply)
         except BridgeError:

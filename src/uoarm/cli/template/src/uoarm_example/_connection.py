@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from uoarm.bridge import Backoff
+from uoarm.bridge import Backoff, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 __all__ = ["ExampleConnection", "ExampleMember"]
@@ -185,7 +185,7 @@ class ExampleConnection:
                     self._exchange(line)
             except (OSError, ValueError) as error:
                 failed += 1
-                self._down(f"{type(error).__name__}: {error}")
+                self._down(text_of(error))
             self._rest(_BACKOFF.pause(failed))
         self._down("the bridge is closed")
         self._wake.close()
