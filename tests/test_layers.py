@@ -24,6 +24,7 @@ LAYERS = [
         "_arguments",
         "_backoff",
         "_deferred",
+        "_encodable",
         "_interrupts",
         "_log_lines",
         "_forks",

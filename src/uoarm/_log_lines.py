@@ -11,6 +11,8 @@ import re
 import sys
 from datetime import datetime, timezone
 
+from uoarm._encodable import encodable
+
 __all__ = [
     "HOST_LINE",
     "HostFormatter",
@@ -37,9 +39,9 @@ _UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029]")
 
 
 def _text_of(record: logging.LogRecord) -> str:
-    """Return the message of a record, and below it the traceback, without secrets."""
+    """Return the message of a record, and below it the traceback: encodable, without secrets."""
     text = logging.Formatter("%(message)s").format(record)
-    return _SECRET.sub(_HIDDEN, text)
+    return encodable(_SECRET.sub(_HIDDEN, text))
 
 
 def _time_of(record: logging.LogRecord) -> str:

@@ -85,7 +85,7 @@ def mistakes(
         yield path, f"the key {clip(missing)} is missing", "", False
     elif keyword == "type":
         unit = f", in {rules['x-unit']}" if "x-unit" in rules else ""
-        sentence = f"expected {_expected(expected)}{unit}, got {write(value)}"
+        sentence = f"expected {_expected(expected, value)}{unit}, got {write(value)}"
         yield path, sentence, _type_hint(expected, value), False
     elif keyword == "const":
         yield path, f"expected {_choice(expected)}, got {write(value)}", "", False
@@ -165,8 +165,10 @@ def _choice(value: object) -> str:
     return value if isinstance(value, str) else clip(value)
 
 
-def _expected(types: str | list[str]) -> str:
+def _expected(types: str | list[str], value: object) -> str:
     names = [types] if isinstance(types, str) else types
+    if "string" in names and isinstance(value, str):  # which is of another type for this only
+        return "text without half of a surrogate pair"
     return " or ".join(TYPES.get(name, name) for name in names)
 
 

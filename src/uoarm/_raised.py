@@ -15,6 +15,7 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import ParamSpec, TypeVar
 
+from uoarm._encodable import encodable
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 
 __all__ = [
@@ -152,7 +153,7 @@ def text_of(error: BaseException) -> str:
     except Exception as other:  # noqa: BLE001 - foreign, as the error is
         raised = other.__cause__ if isinstance(other, ContainedError) else other
         text += f", whose text raised {type(raised).__name__}"
-    return text[:_LENGTH].encode(errors="backslashreplace").decode()[:_LENGTH]
+    return encodable(text[:_LENGTH])[:_LENGTH]
 
 
 def sentence_of(error: BaseException) -> str:

@@ -18,6 +18,7 @@ from tests.cli.commands import members
 
 from uoarm._log_lines import HostFormatter, JsonFormatter, TextFormatter, read_host_line
 from uoarm.cli import main
+from uoarm.model import read_json
 from uoarm.testing import patience
 
 ROBOT = """
@@ -159,6 +160,12 @@ def made(text: str, *arguments: object) -> logging.LogRecord:
 
 
 FORMATTERS = [TextFormatter(), JsonFormatter(), HostFormatter()]
+
+
+def test_a_record_is_text_that_every_reader_takes() -> None:
+    record = logging.LogRecord("uoarm", logging.INFO, "", 0, "half: %s", ("\ud800",), None)
+    assert TextFormatter().format(record).endswith(r" uoarm: half: \ud800")
+    assert read_json(JsonFormatter().format(record))["text"] == r"half: \ud800"
 
 
 @pytest.mark.parametrize("formatter", FORMATTERS, ids=lambda item: type(item).__name__)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import time
@@ -67,6 +68,49 @@ def test_numeric_buffers_are_arrays(ranges: object) -> None:
 def test_a_mismatch_names_port_and_field(message: Message, path: str) -> None:
     with pytest.raises(MessageError, match=rf"camera\.default: {path}"):
         check(message)
+
+
+HALVES = {
+    "type": "object",
+    "properties": {
+        "plain": {"type": "string"},
+        "bounded": {"type": "string", "minLength": 1, "maxLength": 9},
+        "counted": {"type": "string", "x-max-utf8": 9},
+        "perhaps": {"type": ["string", "null"]},
+        "either": {"anyOf": [{"type": "string"}, {"type": "integer"}]},
+        "several": {"type": "array", "items": {"type": "string"}},
+        "named": {"type": "object", "additionalProperties": {"type": "integer"}},
+        "matched": {"type": "object", "patternProperties": {"^a": {"type": "integer"}}},
+    },
+    "additionalProperties": False,
+}
+
+
+@pytest.mark.parametrize(
+    ("message", "place"),
+    [
+        ({"plain": "é\ud800"}, "plain"),
+        ({"bounded": "\udfff"}, "bounded"),
+        ({"counted": "\udc00"}, "counted"),
+        ({"perhaps": "\ud800"}, "perhaps"),
+        ({"either": "\ud800"}, "either"),
+        ({"several": ["a", "\ud800"]}, "several.1"),
+        ({"named": {"\ud800": 1}}, "named.\\ud800"),
+        ({"matched": {"a\ud800": 1}}, "matched.a\\ud800"),
+    ],
+)
+def test_half_of_a_surrogate_pair_fits_no_text(message: Message, place: str) -> None:
+    checker = make_check(MessageStructure(HALVES), ValidationMode.ALWAYS, "camera.default")
+    assert checker is not None
+    with pytest.raises(MessageError) as caught:
+        checker(message)
+    text = str(caught.value)
+    assert text.startswith(f"camera.default: {place}: ")
+    assert "without half of a surrogate pair" in text
+    assert text.encode()
+    pair = json.loads(json.dumps(message).replace("\\ud800", "\\ud83d\\ude00"))
+    if pair != message:
+        checker(pair)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm.model import read_json, write_json
+from uoarm.model import read_json, to_json, write_json
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
@@ -56,6 +56,14 @@ def test_what_is_written_is_read_by_every_reader(value: object) -> None:
     text = write_json(value)
     read = json.loads(text, parse_constant=pytest.fail)
     assert text == write_json(read)
+
+
+@pytest.mark.parametrize("value", ["\ud800", {"\udc00a": 1}, ["\U0001f600", "\ude00"]])
+def test_half_of_a_surrogate_pair_is_not_written(value: object) -> None:
+    with pytest.raises(ValueError, match="half of a surrogate pair"):
+        write_json(value)
+    assert read_json(write_json(to_json(value))) == to_json(value)
+    assert read_json(write_json("\U0001f600")) == "\U0001f600"
 
 
 def test_what_is_not_finite_is_written_as_its_name() -> None:

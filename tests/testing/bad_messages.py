@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -189,6 +190,21 @@ def unwraps(send: Callable[[Any], None]) -> Callable[[Any], None]:
             send(message)
         except UoarmError as error:
             raise TypeError("not what this framework takes") from error
+
+    return sent
+
+
+def encodes(send: Callable[[Any], None]) -> Callable[[Any], None]:
+    def sent(message: Any) -> None:
+        json.dumps(message, ensure_ascii=False).encode()
+        send(message)
+
+    return sent
+
+
+def replaces(send: Callable[[Any], None]) -> Callable[[Any], None]:
+    def sent(message: Any) -> None:
+        send(json.loads(json.dumps(message, ensure_ascii=False).encode(errors="replace")))
 
     return sent
 
@@ -409,6 +425,22 @@ ERROR_BUGS: tuple[Bug, ...] = (
         sending(unwraps),
         DisturbanceRules.test_a_message_that_fits_nothing_is_refused_in_words_or_carried,
         "not what this framework takes",
+    ),
+    Bug(
+        ERRORS,
+        "lets an encoder's own exception out of send",
+        sending(encodes),
+        DisturbanceRules.test_text_that_cannot_be_encoded_is_refused_in_words_or_carried_as_it_is,
+        "surrogates not allowed",
+        "text",
+    ),
+    Bug(
+        ERRORS,
+        "writes a question mark for what it cannot encode",
+        sending(replaces),
+        DisturbanceRules.test_text_that_cannot_be_encoded_is_refused_in_words_or_carried_as_it_is,
+        "was taken and vanished or changed",
+        "text",
     ),
     Bug(
         ERRORS,

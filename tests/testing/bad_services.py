@@ -18,7 +18,7 @@ from tests.testing.bad_worlds import (
 )
 
 from uoarm.bridge import Channel, HealthEvent, Sink, Source
-from uoarm.errors import BridgeError, UoarmError
+from uoarm.errors import BridgeError, BridgeTimeoutError, UoarmError
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm.testing.conformance._failures import Breaking
 from uoarm.testing.conformance._flow import ServiceRules
@@ -123,6 +123,15 @@ def raises_for_a_request(world: Any, bridge: Any, call: Any) -> Any:
     return called
 
 
+def hangs_with_text_of_no_encoding(world: Any, bridge: Any, call: Any) -> Any:
+    def called(endpoint: Endpoint, request: Message, *given: Any) -> Message:
+        if "\\ud800" in repr(request):
+            raise BridgeTimeoutError("no reply came in time")
+        return call(endpoint, request, *given)
+
+    return called
+
+
 def hangs_with_a_bad_reply(world: Any, bridge: Any, serve: Any) -> Any:
     """Have the thread end that answers, so that no later request is answered."""
     ended = threading.Event()
@@ -223,6 +232,13 @@ CALL_BUGS: tuple[Bug, ...] = (
         step("_call", raises_for_a_request),
         ServiceRules.test_a_request_that_fits_nothing_is_refused_in_words,
         "came by itself",
+    ),
+    Bug(
+        SERVICES,
+        "does not end a call whose request it cannot encode",
+        step("_call", hangs_with_text_of_no_encoding),
+        ServiceRules.test_a_request_with_text_that_cannot_be_encoded_ends_in_words,
+        "no reply came in time",
     ),
 )
 """Of bridges whose services are not functions of their own process."""

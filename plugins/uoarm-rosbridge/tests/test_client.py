@@ -268,3 +268,9 @@ def test_the_table_of_options_is_what_the_plugin_declares() -> None:
     page = Path(__file__).parents[3] / "docs" / "rosbridge.md"
     for kind in (Port, ClientOptions):
         assert options_table(kind.schema()) in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("value", ["\ud800", {"\udfff": 1}, float("nan"), object()])
+def test_what_json_cannot_hold_is_refused_before_it_is_sent(value: object) -> None:
+    with pytest.raises(MessageError, match="no form as JSON"):
+        _connection.json_text({"op": "call_service", "args": value})

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 from attrs import define, field, frozen
 
+from uoarm._encodable import is_encodable
 from uoarm.model import Message, Schema
 
 __all__ = ["Accepts", "NumberRange", "compile_check"]
@@ -330,9 +331,12 @@ def _limits(schema: Mapping[str, Any], least: str, most: str, none: float = 0) -
 
 
 def _text(least: float, most: float) -> Accepts:
+    def is_text(value: Any) -> bool:
+        return value.__class__ is str and (value.isascii() or is_encodable(value))
+
     if least <= 0 and most == math.inf:
-        return lambda value: value.__class__ is str
-    return lambda value: value.__class__ is str and least <= len(value) <= most
+        return is_text
+    return lambda value: is_text(value) and least <= len(value) <= most
 
 
 def _closed(
@@ -380,7 +384,9 @@ def _open(
             one = value.get(name, _MISSING)
             if one is not _MISSING and not part(one):
                 return False
-        return rest is None or all(rest(item) for name, item in value.items() if name not in named)
+        return rest is None or all(
+            is_encodable(name) and rest(item) for name, item in value.items() if name not in named
+        )
 
     return accepts
 

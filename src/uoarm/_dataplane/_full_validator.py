@@ -1,7 +1,8 @@
 """The validator that knows every keyword and finds the words: jsonschema's, taught our messages.
 
 Octets, numeric buffers and scalars of numpy are arrays and numbers; numbers that are not finite are
-within a range only where `x-nonfinite` says so; patterns are read as the proof reads them.
+within a range only where `x-nonfinite` says so; half of a surrogate pair is in no text; patterns
+are read as the proof reads them.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from jsonschema import Draft202012Validator, validators
 from jsonschema.exceptions import ValidationError
 from jsonschema.protocols import Validator
 
+from uoarm._encodable import is_encodable
 from uoarm.model import Schema
 from uoarm.schema import UnsupportedPatternError, found_in
 
@@ -35,6 +37,7 @@ def _pattern_properties(
         for pattern, rule in rules.items():
             for name in instance:
                 if _found(pattern, name):
+                    yield from _unencodable(name)
                     yield from validator.descend(instance[name], rule, name, pattern)
 
 
@@ -50,8 +53,14 @@ def _additional_properties(
             continue
         if rule is False:
             yield ValidationError("unknown field", path=(name,))
-        else:
+        elif rule is not True:
+            yield from _unencodable(name)
             yield from validator.descend(instance[name], rule, name)
+
+
+def _unencodable(name: Any) -> Errors:
+    if isinstance(name, str) and not is_encodable(name):
+        yield ValidationError("half of a surrogate pair", path=(name,))
 
 
 def _found(pattern: str, text: str) -> bool:
@@ -104,6 +113,7 @@ def _kind() -> type[Validator]:
     checker = known.redefine_many(
         {
             "array": lambda _, value: isinstance(value, list | tuple) or _is_buffer(value),
+            "string": lambda _, value: isinstance(value, str) and is_encodable(value),
             "integer": numbers("integer"),
             "number": numbers("number"),
             "boolean": numbers("boolean"),

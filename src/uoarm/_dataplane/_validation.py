@@ -14,6 +14,7 @@ from attrs import define, field
 from uoarm._dataplane._compiled_check import Accepts, compile_check
 from uoarm._dataplane._failures import OutputWatch
 from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck
+from uoarm._encodable import encodable, is_encodable
 from uoarm._mistakes import mistakes
 from uoarm._spelling import Speller
 from uoarm._support.yaml import Path, clip
@@ -112,7 +113,7 @@ class _Judgement:
         for error in islice(self._whole().iter_errors(message), _LOOKED_AT):
             path, sentence = _sentence(error, speller)
             alike = tuple("*" if isinstance(part, int) else part for part in path), sentence
-            place = ".".join(map(str, path)) or "the message"
+            place = encodable(".".join(map(str, path))) or "the message"
             reports.setdefault(alike, f"{place}: {_shorten(sentence)}")
         return "; ".join(
             [*list(reports.values())[:_SHOWN], *(["..."] if len(reports) > _SHOWN else [])]
@@ -154,6 +155,8 @@ def _sentence(error: ValidationError, speller: Speller) -> tuple[Path, str]:
     path: Path = tuple(error.absolute_path)
     rules: Any = error.schema
     value: Any = error.instance
+    if path and not is_encodable(str(path[-1])):
+        return path, "a name without half of a surrogate pair was expected"
     if error.validator == "required" and isinstance(value, Mapping):
         missing = [name for name in rules["required"] if name not in value]
         names = list(map(repr, missing))

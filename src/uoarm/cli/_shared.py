@@ -240,6 +240,8 @@ def plain(message: Message, most: int | None = None) -> Any:
         message: any logical value.
         most: items that a buffer may have to be a list; a longer one becomes a note of its size.
     """
+    if isinstance(message, str):
+        return message
     if isinstance(message, bytes | bytearray | memoryview):
         return f"<{len(message)} octets>"
     if hasattr(message, "tolist"):

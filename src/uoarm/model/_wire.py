@@ -19,6 +19,7 @@ import attrs
 from attrs import field, frozen
 from attrs.validators import ge
 
+from uoarm._encodable import encodable
 from uoarm.errors import ControlMessageError
 from uoarm.model._message import MessageStructure, message_octets
 from uoarm.model._plan import Reason, Rejection
@@ -45,15 +46,15 @@ T = TypeVar("T")
 _MAX_CAUSES = 50
 _MAX_DEPTH = 200
 _SHOWN = 5
-_LEAVES = frozenset({str, int, float, bool, type(None)})
+_LEAVES = frozenset({int, float, bool, type(None)})
 _CUT = Reason("its own causes lie too deep to be written down")
 
 
 def to_json(value: Any) -> Any:
     """Return a model value as dicts, lists, strings, numbers, booleans and None.
 
-    Rejections nested more than 50 deep end in a reason that says so; what is no model value, such
-    as octets in a message, is left as it is.
+    Rejections nested more than 50 deep end in a reason that says so; half of a surrogate pair is
+    written as an escape; what is no model value, such as octets in a message, is left as it is.
     """
     return _plain(value, _MAX_CAUSES)
 
@@ -81,10 +82,12 @@ def from_json(data: Any, kind: type[T]) -> T:
 def _plain(value: Any, causes: int) -> Any:
     # Most values of an endpoint or a structure are these: the rest asks much longer.
     kind = type(value)
+    if kind is str:
+        return encodable(value)
     if kind in _LEAVES:
         return value
     if kind is dict:
-        return {str(key): _plain(item, causes) for key, item in value.items()}
+        return {encodable(str(key)): _plain(item, causes) for key, item in value.items()}
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, MessageStructure):
@@ -97,7 +100,7 @@ def _plain(value: Any, causes: int) -> Any:
     if names is not None:
         return {name: _plain(getattr(value, name), causes) for name in names}
     if isinstance(value, Mapping):
-        return {str(key): _plain(item, causes) for key, item in value.items()}
+        return {encodable(str(key)): _plain(item, causes) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [_plain(item, causes) for item in value]
     return value
@@ -225,9 +228,13 @@ def read_json(text: str | bytes) -> Any:
         )
     except RecursionError as error:
         raise ValueError("it is nested too deep") from error
+    _refuse_halves(text, value)
+    return value
+
+
+def _refuse_halves(text: str, value: Any) -> None:
     if _HALF.search(text) and _HALVES.search(json.dumps(value, ensure_ascii=False)):
         raise ValueError("half of a surrogate pair is no character")
-    return value
 
 
 def write_json(value: Any, *, indent: int | None = None) -> str:
@@ -241,9 +248,11 @@ def write_json(value: Any, *, indent: int | None = None) -> str:
         TypeError: as that.
     """
     try:
-        return json.dumps(value, indent=indent, allow_nan=False)
+        text = json.dumps(value, indent=indent, allow_nan=False)
     except ValueError:  # it is not finite, mostly
-        return json.dumps(finite(value), indent=indent, allow_nan=False)
+        text = json.dumps(finite(value), indent=indent, allow_nan=False)
+    _refuse_halves(text, value)
+    return text
 
 
 def finite(value: Any) -> Any:

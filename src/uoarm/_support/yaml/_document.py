@@ -10,6 +10,8 @@ from typing import TypeAlias
 
 from attrs import define, field, frozen
 
+from uoarm._encodable import encodable
+
 __all__ = [
     "Document",
     "NodePosition",
@@ -67,7 +69,7 @@ def clip(value: object) -> str:
         return "nothing"
     if isinstance(value, str) and len(value) > _SHOWN:
         value = f"{value[:_SHOWN]}..."
-    text = json.dumps(value, ensure_ascii=False, default=str)
+    text = encodable(json.dumps(value, ensure_ascii=False, default=str))
     return text if len(text) <= _SHOWN + 5 else f"{text[:_SHOWN]}..."
 
 

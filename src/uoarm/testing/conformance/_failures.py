@@ -23,6 +23,7 @@ from uoarm.testing.conformance._world import (
     line,
     rules,
     structure_of,
+    with_half,
 )
 
 __all__ = ["Breaking", "DisturbanceRules", "HealthLog"]
@@ -376,6 +377,30 @@ class DisturbanceRules:
             message = through.example()
             wanted = world.carried(kind, message)
             through.send(message)
+            through.collector.wait_for(lambda came: same(came, wanted), world.patience)
+
+    def test_text_that_cannot_be_encoded_is_refused_in_words_or_carried_as_it_is(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        with line(world, bridge, kind) as through:
+            example = through.example()
+            broken = with_half(through.structure.schema, example)
+            carried, refused = world.carried(kind, broken), _refused(through.sink)
+
+            def is_known() -> bool:
+                came = through.collector.messages
+                return any(same(item, carried) for item in came) or (
+                    _refused(through.sink) > refused
+                )
+
+            try:
+                through.send(broken)
+            except UoarmError as error:
+                str(error).encode()
+            else:
+                wait(is_known, f"{broken!r} was taken and vanished or changed", world.patience)
+            wanted = world.carried(kind, example)
+            through.send(example)
             through.collector.wait_for(lambda came: same(came, wanted), world.patience)
 
     def test_what_cannot_be_read_is_said_and_ends_nothing(

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uoarm.bridge import Bridge
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UoarmError
 from uoarm.model import Endpoint, Message
 from uoarm.testing._collector import Background, Collector, same
 from uoarm.testing._instances import instances
@@ -28,6 +28,7 @@ from uoarm.testing.conformance._world import (
     hold_idle_between,
     line,
     rules,
+    with_half,
     with_integers,
     with_length,
 )
@@ -375,6 +376,21 @@ class ServiceRules:
             bridge.call(served.endpoint, {"no_such_field_anywhere": object()})
         reason = getattr(caught.value, "reason", None)
         assert reason is not FailureReason.RAISED, f"{caught.value} came by itself, and not of it"
+        assert same(bridge.call(served.endpoint, served.request), served.reply)
+
+    def test_a_request_with_text_that_cannot_be_encoded_ends_in_words(
+        self, world: World, bridge: Bridge, served: Served
+    ) -> None:
+        request = bridge.describe(served.endpoint).request
+        assert request is not None
+        try:
+            bridge.call(
+                served.endpoint, with_half(request.schema, served.request), timeout=world.patience
+            )
+        except BridgeTimeoutError:
+            raise
+        except UoarmError as error:
+            str(error).encode()
         assert same(bridge.call(served.endpoint, served.request), served.reply)
 
     def test_a_link_carries_messages_without_the_manager(

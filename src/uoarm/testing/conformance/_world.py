@@ -41,6 +41,7 @@ __all__ = [
     "rule_of",
     "rules",
     "structure_of",
+    "with_half",
     "with_integers",
     "with_length",
     "with_octets",
@@ -73,7 +74,12 @@ def with_integers(schema: Schema, message: Any) -> Any:
 
 def with_length(schema: Schema, message: Any) -> Any:
     """Return the message with long texts and lists of scalars, where the schema is plain."""
-    return _lengthen(schema, schema, message)
+    return _changed(schema, schema, message, _lengthened)
+
+
+def with_half(schema: Schema, message: Any) -> Any:
+    """Return the message with half of a surrogate pair in its texts, where the schema is plain."""
+    return _changed(schema, schema, message, _halved)
 
 
 def find_other_type(schema: Schema, came: Any) -> str:
@@ -103,24 +109,36 @@ def _convert(root: Schema, schema: object, value: Any, *, strictly: bool) -> Any
     return value
 
 
-def _lengthen(root: Schema, schema: object, value: Any) -> Any:
+def _changed(
+    root: Schema, schema: object, value: Any, change: Callable[[Mapping[str, Any], Any], Any]
+) -> Any:
     schema = _resolved(root, schema)
     if not isinstance(schema, Mapping) or _RESTRICTIONS & schema.keys():
         return value
-    if isinstance(value, str):
-        return ("long " * _LONG)[:_LONG]
-    if isinstance(value, list):
-        wanted: Any = schema.get("items")
-        plain_item = isinstance(wanted, Mapping) and _one_type(wanted) in _SAMPLES
-        if not plain_item or wanted.keys() & _RESTRICTIONS - {"minimum", "maximum"}:
-            return value
-        sample = _SAMPLES[wanted["type"]]
-        fits = wanted.get("minimum", 0) <= 1 <= wanted.get("maximum", 1)
-        return [sample] * _LONG if fits else value
     if isinstance(value, dict):
         properties = schema.get("properties", {})
-        return {name: _lengthen(root, properties.get(name), item) for name, item in value.items()}
-    return value
+        return {
+            name: _changed(root, properties.get(name), item, change) for name, item in value.items()
+        }
+    return change(schema, value)
+
+
+def _lengthened(schema: Mapping[str, Any], value: Any) -> Any:
+    if isinstance(value, str):
+        return ("long " * _LONG)[:_LONG]
+    if not isinstance(value, list):
+        return value
+    wanted: Any = schema.get("items")
+    plain_item = isinstance(wanted, Mapping) and _one_type(wanted) in _SAMPLES
+    if not plain_item or wanted.keys() & _RESTRICTIONS - {"minimum", "maximum"}:
+        return value
+    sample = _SAMPLES[wanted["type"]]
+    fits = wanted.get("minimum", 0) <= 1 <= wanted.get("maximum", 1)
+    return [sample] * _LONG if fits else value
+
+
+def _halved(_: Mapping[str, Any], value: Any) -> Any:
+    return "half \ud800" if isinstance(value, str) else value
 
 
 def _other_types(root: Schema, schema: object, value: Any, at: str) -> Iterator[str]:

@@ -24,7 +24,7 @@ from uoarm.bridge import (
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_rosbridge._wire import write_publish
-from uoarm_rosbridge.client._connection import Fields, ServerConnection
+from uoarm_rosbridge.client._connection import Fields, ServerConnection, json_text
 from uoarm_rosbridge.client._options import Port
 from uoarm_rosbridge.client._types import RosType, reader, structure_of, writer
 
@@ -288,9 +288,9 @@ class ParameterSink(Sink):
 
     def _send(self, message: Message) -> None:
         try:
-            value = json.dumps(plain(message), allow_nan=False)
-        except (TypeError, ValueError) as error:
-            raise MessageError(f"{self._name}: it has no form as JSON: {error}") from error
+            value = json_text(plain(message))
+        except MessageError as error:
+            raise MessageError(f"{self._name}: {error}") from error
         answer = self._connection.rosapi("set_param", name=self._name, value=value)
         if answer.get("successful") is False:
             text = f"{self.endpoint}: {str(answer.get('reason'))[:300]}"

@@ -16,12 +16,18 @@ from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 
 from uoarm.bridge import Backoff, Disconnection
-from uoarm.errors import BridgeError, BridgeTimeoutError, ControlMessageError, FailureReason
+from uoarm.errors import (
+    BridgeError,
+    BridgeTimeoutError,
+    ControlMessageError,
+    FailureReason,
+    MessageError,
+)
 from uoarm.model import BudgetUse, Health
 from uoarm.server.front_end import read_binary, read_text
 from uoarm_rosbridge.client._options import ClientOptions, ServerAccess
 
-__all__ = ["Fields", "ServerConnection"]
+__all__ = ["Fields", "ServerConnection", "json_text"]
 
 Fields = Mapping[str, Any]
 
@@ -145,8 +151,9 @@ class ServerConnection:
 
         Raises:
             BridgeError: the connection is down, or breaks.
+            MessageError: something in it has no form as JSON.
         """
-        self.send_text(json.dumps(fields, allow_nan=False))
+        self.send_text(json_text(fields))
 
     def send_text(self, text: str) -> None:
         """Send an operation that is written already; as `send`."""
@@ -435,6 +442,20 @@ class ServerConnection:
         health = self._disconnection.down(time.monotonic(), final=final)
         if health is not None and not self._is_closed:
             self._report(health, f"{self.options.url}: {cause}")
+
+
+def json_text(value: object) -> str:
+    """Return a value as JSON.
+
+    Raises:
+        MessageError: it has no form there.
+    """
+    try:
+        text = json.dumps(value, allow_nan=False, ensure_ascii=False)
+        text.encode()  # half of a surrogate pair cannot be sent
+    except (TypeError, ValueError, RecursionError) as error:
+        raise MessageError(f"it has no form as JSON: {error}") from error
+    return text
 
 
 def _is_final(error: Exception) -> bool:
