@@ -50,11 +50,11 @@ def everything(group: click.Group) -> Iterator[click.Command]:
             yield from everything(command)
 
 
-@pytest.fixture(params=["false", "true"], ids=["here", "in a host"])
+@pytest.fixture(params=["here", "in a host"])
 def file(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     (tmp_path / "log_ticks.py").write_text(COMPONENTS, encoding="utf-8")
     path = tmp_path / "robot.yaml"
-    path.write_text(ROBOT.replace("HOST", request.param), encoding="utf-8")
+    path.write_text(ROBOT.replace("HOST", str(request.param != "here").lower()), encoding="utf-8")
     return path
 
 
@@ -95,27 +95,37 @@ def test_a_warning_has_time_level_and_logger(file: Path) -> None:
     assert "is odd\n  very odd\n" in done.stderr
 
 
-@pytest.mark.parametrize("where", ["before", "after", "variable"])
-def test_debug_has_the_control_plane_and_what_hosts_write(file: Path, where: str) -> None:
+@pytest.mark.parametrize("file", ["here"], indirect=True)
+@pytest.mark.parametrize("where", ["before", "after"])
+def test_debug_has_the_control_plane(file: Path, where: str) -> None:
     option, words = ["--log-level", "debug"], ["request", "ticks", str(file), "-n", "1"]
-    if where == "variable":
-        done = in_process(*words, UOARM_LOG="debug")
-    else:
-        done = in_process(*(option + words if where == "before" else words + option))
+    done = in_process(*(option + words if where == "before" else words + option))
     assert done.stdout == '{"n": 1}\n', done.stderr
     assert ("DEBUG", "uoarm.control") in records(done.stderr), done.stderr
-    is_hosted = "host: true" in file.read_text(encoding="utf-8")
-    lab = "uoarm.host.python: uoarm.lab" if is_hosted else "uoarm.lab"
-    assert f"DEBUG {lab}: begins" in done.stderr
+    assert "DEBUG uoarm.lab: begins" in done.stderr
 
 
+@pytest.mark.parametrize("file", ["in a host"], indirect=True)
+def test_debug_has_what_hosts_write(file: Path) -> None:
+    done = in_process("request", "ticks", file, "-n", "1", UOARM_LOG="debug")
+    assert done.stdout == '{"n": 1}\n', done.stderr
+    assert ("DEBUG", "uoarm.control") in records(done.stderr), done.stderr
+    assert "DEBUG uoarm.host.python: uoarm.lab: begins" in done.stderr
+
+
+@pytest.mark.parametrize("file", ["in a host"], indirect=True)
 def test_one_logger_alone(file: Path) -> None:
     done = in_process("request", "ticks", file, "-n", "1", "--log-level", "uoarm.control=debug")
     debug = {name for level, name in records(done.stderr) if level == "DEBUG"}
     assert debug == {"uoarm.control"}, done.stderr
 
 
-@pytest.mark.parametrize("form", [{"UOARM_LOG": "info,json"}, {}], ids=["variable", "option"])
+@pytest.mark.parametrize(
+    ("file", "form"),
+    [("here", {"UOARM_LOG": "info,json"}), ("in a host", {})],
+    ids=["variable", "option"],
+    indirect=["file"],
+)
 def test_json_is_one_object_a_line(file: Path, form: dict[str, str]) -> None:
     more = [] if form else ["--log-format", "json"]
     done = in_process("request", "ticks", file, "-n", "1", *more, **form)
@@ -125,6 +135,7 @@ def test_json_is_one_object_a_line(file: Path, form: dict[str, str]) -> None:
     assert any(line["text"].endswith("is odd\nvery odd") for line in lines)
 
 
+@pytest.mark.parametrize("file", ["in a host"], indirect=True)
 def test_the_option_outranks_the_variable(file: Path) -> None:
     done = in_process(
         "request", "ticks", file, "-n", "1", "--log-level", "error", UOARM_LOG="debug"

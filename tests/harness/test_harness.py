@@ -216,20 +216,25 @@ def test_a_test_that_works_too_long_fails_however_fast_the_machine(run: Run) -> 
 
 
 ORDERED = """
+    import pytest
+
     made = []
 
-    def test_one():
-        made.append(1)
-
-    def test_two():
-        assert made == [1]
+    @pytest.mark.parametrize("number", range(8))
+    def test_in_order(number):
+        made.append(number)
+        assert made == [*range(number + 1)]
 """
 
 
-def test_another_order_finds_a_test_that_depends_on_it(run: Run) -> None:
-    run(ORDERED).assert_outcomes(passed=2)
-    found = (run(ORDERED, UOARM_TEST_ORDER=str(seed)) for seed in range(4, 8))
-    assert any(run_result.parseoutcomes() == {"failed": 1, "passed": 1} for run_result in found)
+def test_another_order_finds_a_test_that_depends_on_it_but_those_of_a_scene_keep_theirs(
+    pytester: pytest.Pytester, run: Run
+) -> None:
+    pytester.makepyfile(test_scene=ORDERED)
+    found = run(ORDERED, "-v", set_up="harness.TOGETHER.add('test_scene.py')", UOARM_TEST_ORDER="4")
+    assert found.parseoutcomes()["failed"]
+    found.stdout.fnmatch_lines([f"test_scene.py::*{number}? PASSED*" for number in range(8)])
+    found.stdout.no_fnmatch_line("FAILED test_scene.py*")
 
 
 LATE = """
@@ -287,13 +292,6 @@ def test_threads_begin_late_and_one_of_four_waits_ends_late_by_a_number() -> Non
     assert 0.04 < max(begins) <= 0.05
     assert late("1") == (is_same, [waits, gets, begins])
     assert late("2") != (is_same, [waits, gets, begins])
-
-
-def test_those_that_share_a_scene_keep_theirs(run: Run) -> None:
-    together = "harness.TOGETHER.add('test_those_that_share_a_scene_keep_theirs.py')"
-    for seed in range(4, 8):  # a test above finds the other order in one of these
-        found = run(ORDERED, set_up=together, UOARM_TEST_ORDER=str(seed))
-        found.assert_outcomes(passed=2)
 
 
 def test_nothing_of_the_shell_is_inherited(run: Run, tmp_path: Path) -> None:
