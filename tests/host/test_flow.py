@@ -20,7 +20,7 @@ from uoarm._host.transport.transport import Transport
 from uoarm.bridge import Bridge, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, MessageStructure, Role
-from uoarm.testing import patience, wait
+from uoarm.testing import Background, patience, wait
 
 Ends = tuple[Transport, Transport]
 
@@ -410,6 +410,26 @@ def test_drained_is_what_has_left_the_buffers_of_the_framework_too(ends: Ends) -
     assert flows.drain(1, 1, patience())
     flows.close(1, 1, patience())
     outgoing.close()
+
+
+def test_an_input_is_found_until_it_is_closed_and_so_has_stopped(ends: Ends) -> None:
+    """What takes its place has it held first, and moves at once where there is none."""
+    near, _ = ends
+    begun, free = threading.Event(), threading.Event()
+
+    def close() -> None:
+        begun.set()
+        assert free.wait(patience())
+
+    sink = Sink(Endpoint("memory", "drive", Role.INPUT, ("drive",)), lambda _: None, close)
+    flows = OpenFlows(near, None)
+    flows.inbound(1, None, sink, MessageStructure({}))
+    closing = Background(lambda: flows.close(1, 0, patience()))
+    assert begun.wait(patience())
+    found = flows.sink(1)
+    free.set()
+    closing.result()
+    assert (found, flows.sink(1)) == (sink, None)
 
 
 def test_a_counter_that_is_given_out_anew_leaves_what_it_was(

@@ -134,6 +134,8 @@ class OpenFlows:
         self._counters = counters
         self._lock = threading.Lock()
         self._open: dict[int, _Open] = {}
+        # Until it is closed, an input may move: what takes its place has it held here before.
+        self._closing: dict[int, _Open] = {}
         self._opening: list[OutboundFlow] = []
 
     @contextmanager
@@ -196,20 +198,24 @@ class OpenFlows:
 
     def handled(self, number: int, sent: int, timeout: float) -> bool:
         """Wait until a sink was handed the messages up to the number `sent`."""
-        found = self._open.get(number)
+        found = self._found(number)
         return found is None or found.inbound is None or found.inbound.drain(sent, timeout)
 
     def drain(self, number: int, sent: int, timeout: float) -> bool:
         """Wait until what a sink was sent, up to the number `sent`, has arrived."""
-        deadline, found = time.monotonic() + timeout, self._open.get(number)
+        deadline, found = time.monotonic() + timeout, self._found(number)
         if not self.handled(number, sent, timeout):
             return False
         return found is None or found.channel.drain(max(0.0, deadline - time.monotonic()))
 
     def sink(self, number: int) -> Sink | None:
-        """Return an open input, None where this number has none."""
-        found = self._open.get(number)
+        """Return an input that is open or being closed, None where this number has none."""
+        found = self._found(number)
         return found.channel if found is not None and isinstance(found.channel, Sink) else None
+
+    def _found(self, number: int) -> _Open | None:
+        with self._lock:
+            return self._open.get(number) or self._closing.get(number)
 
     def number_of(self, channel: Channel) -> int | None:
         """Return the number of an open channel, None for one that is not listed."""
@@ -259,14 +265,17 @@ class OpenFlows:
         """
         with self._lock:
             found = self._open.pop(number, None)
-        if found is None:
-            return 0
-        if found.inbound is not None:
-            found.inbound.drain(sent, min(_PATIENCE_SECONDS, timeout / 2))
-            found.inbound.close()
+            if found is None:
+                return 0
+            self._closing[number] = found
         try:
+            if found.inbound is not None:
+                found.inbound.drain(sent, min(_PATIENCE_SECONDS, timeout / 2))
+                found.inbound.close()
             found.channel.close(timeout=timeout)
         finally:
+            with self._lock:
+                del self._closing[number]
             if found.outbound is not None:
                 found.outbound.close()
         return 0 if found.outbound is None else found.outbound.taken
