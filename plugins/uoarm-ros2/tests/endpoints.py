@@ -5,6 +5,9 @@ from __future__ import annotations
 import threading
 from typing import Any
 
+from peers import Peer
+
+from uoarm import Connection
 from uoarm.bridge import Bridge, Channel, HealthEvent, Sink, Source
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import patience, wait
@@ -41,6 +44,19 @@ def known(bridge: Bridge, *nodes: str, bare: bool = False) -> None:
 def matched(channel: Channel, count: int) -> None:
     """Wait until a channel has so many peers."""
     wait(lambda: channel.facts()["matched"] == count)
+
+
+def reaches(peer: Peer, topic: str, connection: Connection) -> bool:
+    """Publish a number, and say whether one has come.
+
+    The subscription of a plan that was lost is there until another plan runs. Its publisher may
+    know of that one only.
+    """
+    peer.do("publish", topic=topic, count=1)
+    try:
+        return connection.get(0) == {"data": 1}
+    except TimeoutError:
+        return False
 
 
 def await_quiet_watch(out: Sink) -> None:

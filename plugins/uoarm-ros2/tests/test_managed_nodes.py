@@ -19,7 +19,7 @@ from uoarm import RobotManager
 from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import ConnectionState, Endpoint, Health, Role
+from uoarm.model import Endpoint, Health, Role
 from uoarm.server.front_end import Operation, Supervision
 from uoarm.testing import patience, wait
 
@@ -280,6 +280,6 @@ functions:
         assert second.do("transitions", expected=0)["asked"] == []
         first.kill()
         assert second.do("transitions", expected=2)["gains"] == [4.0]
-        wait(lambda: connection.state is ConnectionState.RUNNING)
+        wait(lambda: connection.gaps)
         connection.close()
         assert second.do("transitions", expected=3)["asked"][2:] == ["deactivate"]
