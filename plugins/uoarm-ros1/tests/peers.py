@@ -112,6 +112,11 @@ class Peer:
         stream.flush()
         return self._answer()
 
+    def publish(self, topic: str, **given: Any) -> None:
+        """Publish to a subscriber that this node knows: it learns of one after that has opened."""
+        self.wait_for("connections", bool, topic=topic)
+        self.do("publish", topic=topic, **given)
+
     def wait_for(self, command: str, fits: Callable[[Any], bool], **given: Any) -> Any:
         seen: list[Any] = [None]
 

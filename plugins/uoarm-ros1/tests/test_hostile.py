@@ -441,6 +441,7 @@ def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path)
         peer.do("subscribe", topic="/pair", type=INT)
         peer.do("advertise", topic="/pair", type=INT)
         peer.wait_for("connections", lambda count: count == 2, topic="/pair")  # itself, too
+        wait(lambda: "/after" in sink.facts()["subscribers"])  # type: ignore[operator]  # a list
         sink.send({"data": 2})
         peer.wait_for("came", lambda came: {"data": 2} in came, topic="/pair")
         peer.do("publish", topic="/pair", type=INT, values={"data": 3})

@@ -201,7 +201,7 @@ def test_a_bridge_turns_no_more_than_its_messages_need(master: Master, lasting: 
             output(topic, INT), MessageStructure(True), inbox.deliver, timeout=patience()
         )
         for number in range(50):
-            lasting.do("publish", topic=topic, type=INT, values={"data": number})
+            lasting.publish(topic, type=INT, values={"data": number})
             inbox.wait(number + 1, patience())
         assert bridge.facts() == {"empty_turns": 0}
         channel.close()

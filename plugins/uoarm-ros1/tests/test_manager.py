@@ -139,8 +139,7 @@ offer:
             return bool(lasting.do("count", topic="/offered/count"))
 
         wait(has_come, "nothing is published", patience())
-        lasting.wait_for("connections", lambda count: count == 1, topic="/offered/goal")
-        lasting.do("publish", topic="/offered/goal", type="std_msgs/Int32", values={"data": 9})
+        lasting.publish("/offered/goal", type="std_msgs/Int32", values={"data": 9})
         wait(lambda: {"data": 9} in arm.taken.messages, "nothing is taken", patience())
         ask = {"service": "/offered/switch", "type": "std_srvs/SetBool"}
         assert lasting.do("call", **ask, values={"data": True})["message"] == "done"
@@ -164,7 +163,7 @@ def test_two_topics_of_one_type_are_linked_by_the_plan(master: Master, lasting: 
         RobotManager(loads(robot(master, functions))) as manager,
         manager.request("shown"),
     ):
-        peer.do("publish", topic="/plan/from", type="std_msgs/Int32", values={"data": 5})
+        peer.publish("/plan/from", type="std_msgs/Int32", values={"data": 5})
         lasting.wait_for("came", lambda came: came == [{"data": 5}], topic="/plan/to")
         (route,) = manager.status().routes
         assert route.native

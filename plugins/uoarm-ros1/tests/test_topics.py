@@ -76,6 +76,7 @@ def test_every_primitive_and_every_array_of_them_pass_there_and_back(
             sink.send(message)
 
         bridge.open_source(at, structure, pass_on, timeout=patience())
+        lasting.wait_for("connections", bool, topic="/every/in")
         sent = lasting.do("publish_random", topic="/every/in", type=native, count=200)
         lasting.wait_for("count", lambda count: count == 200, topic="/every/out")
         assert same(lasting.do("came", topic="/every/out"), sent)
@@ -101,7 +102,7 @@ def test_a_message_beyond_the_budget_ends_the_connection_and_is_said(
     with bridge_to(master, max_octets=1000) as bridge:
         reports = Reports(bridge)
         opened(bridge, output("/beyond"))
-        lasting.do("publish", topic="/beyond", type="std_msgs/String", values={"data": "x" * 2000})
+        lasting.publish("/beyond", type="std_msgs/String", values={"data": "x" * 2000})
         assert "1,000 are allowed" in reports.wait(Health.LOST).cause
 
 
@@ -171,7 +172,7 @@ def test_several_sources_of_one_topic_each_get_all(master: Master, lasting: Peer
     with bridge_to(master) as bridge:
         collectors = [opened(bridge, output("/shared"))[1] for _ in range(3)]
         bridge.describe(output("/shared"))  # asks as one more subscriber, and takes none away
-        lasting.do("publish", topic="/shared", type=INT, values={"data": 1}, count=5)
+        lasting.publish("/shared", type=INT, values={"data": 1}, count=5)
         for collector in collectors:
             assert len(collector.wait(5, patience())) == 5
 
@@ -183,8 +184,8 @@ def test_one_node_of_several_can_be_meant(master: Master) -> None:
     with bridge_to(master) as bridge:
         reports = Reports(bridge)
         _, collector = opened(bridge, output("/cameras", node="/camera1"))
-        for number, peer in enumerate(peers):
-            peer.do("publish", topic="/cameras", type=INT, values={"data": number})
+        peers[0].do("publish", topic="/cameras", type=INT, values={"data": 0})
+        peers[1].publish("/cameras", type=INT, values={"data": 1})
         assert collector.wait(1, patience()) == [{"data": 1}]
         peers[0].kill()
         peers[1].do("publish", topic="/cameras", type=INT, values={"data": 2})
@@ -215,7 +216,7 @@ def test_a_node_that_is_killed_is_lost_at_once_and_found_on_another_port(master:
         second.do("advertise", topic="/mortal", type=INT)
         assert reports.wait(Health.OK, "/mortal").component == "mortal component"
         _, collector = opened(bridge, at)
-        second.do("publish", topic="/mortal", type=INT, values={"data": 3})
+        second.publish("/mortal", type=INT, values={"data": 3})
         assert collector.wait(1, patience()) == [{"data": 3}]
         second.kill()
 
@@ -227,8 +228,7 @@ def test_a_publisher_that_comes_later_is_connected(master: Master) -> None:
         bridge.open_source(at, ANY, collector.deliver)
         peer = master.peer("late")
         peer.do("advertise", topic="/later", type=INT)
-        peer.wait_for("connections", lambda count: count == 1, topic="/later")
-        peer.do("publish", topic="/later", type=INT, values={"data": 4})
+        peer.publish("/later", type=INT, values={"data": 4})
         assert collector.wait(1, patience()) == [{"data": 4}]
         peer.kill()
 
@@ -249,7 +249,7 @@ def test_a_killed_node_beside_one_that_lives_is_said_once(
         monkeypatch.setattr(_subscription, "_subscribe", tries)
         for number in range(3):
             wait(partial(tries.is_beyond, number), "it is not tried again", patience())
-            lasting.do("publish", topic="/half", type=INT, values={"data": number})
+            lasting.publish("/half", type=INT, values={"data": number})
             collector.wait(number + 1, patience())
         assert [event.health for event in reports.events] == [Health.DEGRADED, Health.OK]
 
@@ -289,7 +289,7 @@ def test_a_silent_publisher_that_answers_is_well(master: Master, lasting: Peer) 
         source, collector = opened(bridge, output("/quiet"))
         asked = threading.Event()
         asked.wait(0.5)  # several times as long as until it is asked
-        lasting.do("publish", topic="/quiet", type=INT, values={"data": 1})
+        lasting.publish("/quiet", type=INT, values={"data": 1})
         collector.wait(1, patience())
         assert source.facts()["interruptions"] == 0
         assert not reports.events
@@ -460,6 +460,7 @@ def test_a_subscriber_that_reads_nothing_holds_up_no_other(master: Master, lasti
         peer.do("subscribe", topic="/much", type="std_msgs/String")
     with bridge_to(master, max_octets=1 << 20) as bridge:
         sink = bridge.open_sink(input_("/much", queue=10, wait=patience()), ANY, timeout=patience())
+        wait(lambda: len(sink.facts()["subscribers"]) == 2)  # type: ignore[arg-type]  # a list
         stuck.send_signal(signal.SIGSTOP)
         for number in range(200):
             sink.send({"data": str(number) + "x" * 200_000})
@@ -522,7 +523,7 @@ def test_a_link_moves_octets_without_reading_them(master: Master, lasting: Peer)
         )
         assert link is not None
         values = {"data": "Kia ora"}
-        peer.do("publish", topic="/link/from", type="std_msgs/String", values=values, count=3)
+        peer.publish("/link/from", type="std_msgs/String", values=values, count=3)
         lasting.wait_for("count", lambda count: count == 3, topic="/link/to")
         wait(lambda: link.facts()["moved"] == 3)  # counted after they were written
         lasting.do("advertise", topic="/link/other", type=INT)
@@ -548,7 +549,7 @@ def test_a_link_is_lost_by_its_rate_and_not_while_messages_come(
         assert link is not None
         begun, count = time.monotonic(), 0
         while time.monotonic() < begun + 3 * stale_after:
-            lasting.do("publish", topic="/rate/from", type=INT, values={"data": count})
+            lasting.publish("/rate/from", type=INT, values={"data": count})
             count += 1
         assert not reports.events
         assert "no message for" in reports.wait(Health.LOST).cause
@@ -562,7 +563,7 @@ def test_two_nodes_on_one_topic_are_connected_already(master: Master, lasting: P
         reports = Reports(bridge)
         link = bridge.link(output("/one"), input_("/one"))
         assert link is not None
-        peer.do("publish", topic="/one", type=INT, values={"data": 1})
+        peer.publish("/one", type=INT, values={"data": 1})
         lasting.wait_for("count", lambda count: count == 1, topic="/one")
         peer.kill()
         assert reports.wait(Health.LOST).channel is link
