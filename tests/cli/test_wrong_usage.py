@@ -203,3 +203,25 @@ def test_help_for_which_there_is_no_room_is_said_as_anything_else() -> None:
             timeout=2 * patience(),
         )
     assert (done.returncode, "nothing more can be written" in done.stderr) == (1, True)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("check", "FILE"),
+        ("apply", "FILE", "--url", "ws://127.0.0.1:1"),
+        ("lock", "--check", "--lock", "FILE"),
+        ("types", "--python", "--lock", "FILE"),
+        ("schema", "check", "FILE", "FILE"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_whatever_reads_a_file_says_in_the_same_words_that_it_is_not_utf8(
+    words: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_bytes(b"version: 1\n# \xff\n")
+    done = CliRunner().invoke(main, [str(path) if word == "FILE" else word for word in words])
+    sentence = "the file is not UTF-8: byte 14 cannot be decoded (save it as UTF-8)"
+    assert sentence in done.stderr, done.output
+    assert done.exit_code == (2 if words[0] == "schema" else 3)

@@ -126,8 +126,8 @@ def test_a_lock_that_was_written_anew_holds_after_a_reload(changed: Path) -> Non
     ("text", "said"),
     [
         (None, r"says `lock: enforce`, and there is no .*robot.lock: write it with `uoarm lock`"),
-        ("{", r"robot.lock: cannot be read"),
-        ("{}", r"robot.lock: expected a lock of version 1"),
+        ("{", r"robot.lock: expected a lock, as `uoarm lock` writes it, got what is no JSON"),
+        ("{}", r"robot.lock: expected a lock, as `uoarm lock` writes it, got other JSON"),
     ],
 )
 def test_a_lock_that_cannot_be_read_is_an_error(

@@ -178,6 +178,34 @@ def test_what_is_no_lock_is_refused_with_its_name(tmp_path: Path, text: str) -> 
     assert run(robot(tmp_path), "--check").exit_code == 3
 
 
+@pytest.mark.parametrize(
+    ("octets", "text"),
+    [
+        (b"functions: {}", "expected a lock, as `uoarm lock` writes it, got what is no JSON: "),
+        (b'{"a": 1}', "expected a lock, as `uoarm lock` writes it, got other JSON"),
+        (b'{"version": 7}', "expected a lock of version 1, got version 7"),
+        (b"{\xff", "the file is not UTF-8: byte 2 cannot be decoded (save it as UTF-8)"),
+        (None, "the file cannot be read: it is a folder"),
+    ],
+)
+def test_of_a_file_that_is_no_lock_it_is_said_what_was_expected(
+    tmp_path: Path, octets: bytes | None, text: str
+) -> None:
+    path = tmp_path / "robot.lock"
+    path.mkdir() if octets is None else path.write_bytes(octets)
+    done = run(robot(tmp_path), "--check")
+    assert (done.exit_code, f"error: {path}: {text}" in done.stderr) == (3, True), done.output
+
+
+def test_a_lock_alone_does_not_stand_for_a_configuration_that_is_not_there(tmp_path: Path) -> None:
+    path = locked(tmp_path)
+    file = tmp_path / "robot.yaml"
+    file.unlink()
+    words = ["-f", str(file), "--check", "--against", str(path)]
+    done = CliRunner().invoke(main, ["lock", *words])
+    assert (done.exit_code, "robot.yaml: the file cannot be read" in done.stderr) == (3, True)
+
+
 def test_a_function_without_a_plan_is_locked_as_refused(tmp_path: Path) -> None:
     done = run(robot(tmp_path, unit="s"))
     assert done.exit_code == 1
@@ -190,4 +218,4 @@ def test_a_schema_that_is_no_json_is_named(tmp_path: Path) -> None:
     (tmp_path / "a" / "Order.schema").write_text('{"title": "Order",}')
     checked = run(tmp_path / "a", "--check", "--against", str(tmp_path / "a"))
     assert checked.exit_code == 3
-    assert "Order.schema: cannot be read" in checked.output
+    assert "Order.schema: expected JSON, got what is no JSON" in checked.output

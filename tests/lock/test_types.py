@@ -202,6 +202,9 @@ def run(folder: Path, *arguments: str) -> Result:
 
 def test_the_command_says_its_source_and_writes_whole_files(tmp_path: Path) -> None:
     (tmp_path / "robot.lock").write_text(write_lock(usual()), encoding="utf-8")
+    done = run(tmp_path, "--python")
+    assert (done.exit_code, "robot.yaml: the file cannot be read" in done.stderr) == (3, True)
+    (tmp_path / "robot.yaml").write_text("version: 1")
     for form in ("--python", "--typescript", "--jsonschema"):
         done = run(tmp_path, form, "-o", str(tmp_path / "made"))
         assert done.exit_code == 0, done.output

@@ -11,6 +11,7 @@ from typing import Any
 
 from attrs import field, frozen
 
+from uoarm._support.files import UnreadableFileError, read_text
 from uoarm.environments import environment_folder
 from uoarm.errors import ConfigurationError, PluginError
 from uoarm.model import (
@@ -363,10 +364,12 @@ def read_lock(path: Path) -> Lock:
     Raises:
         LockError: there is none, or it is no lock of this version.
     """
-    data = read_json(path)
-    if not isinstance(data, dict) or data.get("version") != _VERSION:
-        report = data.get("version") if isinstance(data, dict) else None
-        raise LockError(f"{path}: expected a lock of version {_VERSION}, got version {report}")
+    data = read_json(path, "a lock, as `uoarm lock` writes it")
+    if not isinstance(data, dict) or "version" not in data:
+        raise LockError(f"{path}: expected a lock, as `uoarm lock` writes it, got other JSON")
+    if data["version"] != _VERSION:
+        text = f"expected a lock of version {_VERSION}, got version {data['version']}"
+        raise LockError(f"{path}: {text}")
     try:
         lock = from_json(data, Lock)
         for part in lock.parts():
@@ -379,11 +382,15 @@ def read_lock(path: Path) -> Lock:
     return lock
 
 
-def read_json(path: Path) -> Any:
-    """Return what a file of JSON holds; raises LockError."""
+def read_json(path: Path, expected: str = "JSON") -> Any:
+    """Return what a file of JSON holds.
+
+    Raises:
+        LockError: it cannot be read, or is none; the text says what was expected.
+    """
     try:
-        if path.stat().st_size > _MOST_OCTETS:
-            raise LockError(f"{path}: larger than {_MOST_OCTETS:,} octets")
-        return json_of(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise LockError(f"{path}: cannot be read: {error}") from error
+        return json_of(read_text(path, _MOST_OCTETS))
+    except UnreadableFileError as error:
+        raise LockError(f"{path}: {error}") from error
+    except ValueError as error:
+        raise LockError(f"{path}: expected {expected}, got what is no JSON: {error}") from error

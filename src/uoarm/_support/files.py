@@ -1,13 +1,68 @@
-"""Files that are there whole or not at all, also when the disk is full or the process is killed."""
+"""Files that are there whole or not at all, also when the disk is full or the process is killed.
+
+Text is read in one way: of a regular file, in UTF-8, up to a limit; what is wrong is worded once.
+"""
 
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["stamp_of", "write_whole", "written_beside"]
+__all__ = ["UnreadableFileError", "read_text", "stamp_of", "write_whole", "written_beside"]
+
+
+class UnreadableFileError(ValueError):
+    """A file cannot be read as text.
+
+    Attributes:
+        sentence: what is wrong with it.
+        hint: what to do, empty where the sentence says it.
+        line: where that is, from one on; 0: it is about the whole file.
+    """
+
+    def __init__(self, sentence: str, hint: str = "", line: int = 0) -> None:
+        super().__init__(f"{sentence} ({hint})" if hint else sentence)
+        self.sentence, self.hint, self.line = sentence, hint, line
+
+
+def read_text(path: Path, limit: int) -> str:
+    """Return the text of a regular file: a pipe or device could go on for ever.
+
+    Args:
+        path: of the file.
+        limit: the most octets that it may have.
+
+    Raises:
+        UnreadableFileError: it cannot be read, has more, or is not UTF-8.
+    """
+    try:
+        raw = _octets(path, limit)
+    except OSError as error:
+        raise UnreadableFileError(f"the file cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise UnreadableFileError(f"the file cannot be read: {error}") from error
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        sentence = f"the file is not UTF-8: byte {error.start + 1:,} cannot be decoded"
+        line = raw[: error.start].count(b"\n") + 1
+        raise UnreadableFileError(sentence, "save it as UTF-8", line) from error
+
+
+def _octets(path: Path, limit: int) -> bytes:
+    mode = path.stat().st_mode
+    if stat.S_ISDIR(mode):
+        raise ValueError("it is a folder")
+    if not stat.S_ISREG(mode):
+        raise ValueError("it is not a regular file")
+    with path.open("rb") as stream:
+        raw = stream.read(limit + 1)
+    if len(raw) > limit:
+        raise ValueError(f"it has more than {limit:,} bytes")
+    return raw
 
 
 def write_whole(path: Path, data: bytes, *, private: bool = False) -> None:

@@ -187,8 +187,8 @@ def lock(
         raise click.UsageError("--against and --environment belong to --check")
     if against is not None and environment is not None:
         raise click.UsageError("say --against or --environment, one of them")
-    place = Path(file).with_name("robot.lock") if path is None else Path(path)
     with reporting():
+        place = _beside(file) if path is None else Path(path)
         if not check:
             sys.exit(_write(file, place))
         before = read_lock(place)
@@ -301,16 +301,26 @@ def types(file: str, form: str | None, path: str | None, output: str | None) -> 
 
 
 def _source(file: str, path: str | None) -> Lock:
-    beside = Path(file).with_name("robot.lock")
-    if path is not None or beside.exists():
-        place = beside if path is None else Path(path)
+    place = _beside(file) if path is None else Path(path)
+    if path is not None or place.exists():
         lock = read_lock(place)
         click.echo(f"types of {place}", err=True)
         return lock
     with open_unlocked(file) as robot:
         lock = lock_of(robot)
-    click.echo(f"types of what the bridges of {file} describe now: no {beside}", err=True)
+    click.echo(f"types of what the bridges of {file} describe now: no {place}", err=True)
     return lock
+
+
+def _beside(file: str) -> Path:
+    """Return where the lock of a configuration is.
+
+    Raises:
+        ConfigurationError: there is no such configuration.
+    """
+    if not Path(file).exists():
+        load(file)
+    return Path(file).with_name("robot.lock")
 
 
 def _write_file(path: Path, text: str) -> None:

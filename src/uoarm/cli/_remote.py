@@ -20,6 +20,7 @@ from attrs import field, fields_dict, frozen
 
 from uoarm import errors
 from uoarm._raised import text_of
+from uoarm._support.files import UnreadableFileError, read_text
 from uoarm._support.tls import client_context, show_certificate
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting
@@ -258,15 +259,10 @@ def history(*, server: Remote, as_json: bool) -> None:
 def _text(file: str) -> str:
     with reporting():
         try:
-            with Path(file).open("rb") as opened:
-                data = opened.read(_MOST_OCTETS + 1)
-            if len(data) > _MOST_OCTETS:
-                raise errors.ConfigurationError(f"{file}: more than {_MOST_OCTETS:,} octets")
-            return data.decode()
-        except OSError as error:
-            raise errors.ConfigurationError(f"{file}: {error.strerror or error}") from error
-        except UnicodeDecodeError as error:
-            raise errors.ConfigurationError(f"{file}: {error}") from error
+            return read_text(Path(file), _MOST_OCTETS)
+        except UnreadableFileError as error:
+            text = f"{file}: {error}"
+            raise errors.ConfigurationError(text, error_code="UOA-101") from error
 
 
 @click.command()

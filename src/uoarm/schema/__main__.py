@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -44,17 +44,28 @@ def check_files(producer: Path, consumer: Path, *, as_json: bool) -> None:
 
 
 def _read(path: Path) -> Any:
+    # As `uoarm._support.files` words it, which what stands alone does not import.
     try:
         text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        _fail(f"{path}: the file cannot be read: {error.strerror or error}")
+    except UnicodeDecodeError as error:
+        why = f"byte {error.start + 1:,} cannot be decoded (save it as UTF-8)"
+        _fail(f"{path}: the file is not UTF-8: {why}")
+    try:
         read = json.loads(
             text, object_pairs_hook=_mapping, parse_float=_number, parse_constant=_refuse
         )
         if "\\u" in text:
             json.dumps(read, ensure_ascii=False).encode()  # half of a surrogate pair is no text
-    except (OSError, ValueError, RecursionError) as error:
-        click.echo(f"{path}: not JSON: {error}", err=True)
-        sys.exit(_UNREADABLE)
+    except (ValueError, RecursionError) as error:
+        _fail(f"{path}: not JSON: {error}")
     return read
+
+
+def _fail(text: str) -> NoReturn:
+    click.echo(text, err=True)
+    sys.exit(_UNREADABLE)
 
 
 def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -9,7 +9,6 @@ that is given twice is refused, and so are tags: these files are data.
 from __future__ import annotations
 
 import re
-import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path as File
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import yaml
 from attrs import frozen
 
+from uoarm._support.files import UnreadableFileError, read_text
 from uoarm._support.yaml._document import (
     Document,
     NodePosition,
@@ -82,45 +82,18 @@ class _Frame:
 
 def read_file(path: File, budget: ReadBudget = _ROBOT) -> Document:
     """Read one document from a regular file; what is wrong with it stands in its `problems`."""
-    path_in_data, hint = "", ""  # it is about the whole file
     try:
-        return read(_octets(path, budget.octets).decode("utf-8"), str(path), budget)
-    except UnicodeDecodeError as error:
-        place = Position(error.object[: error.start].count(b"\n") + 1, 1)
-        sentence = f"the file is not UTF-8: byte {error.start + 1:,} cannot be decoded"
-        path_in_data, hint = "$", "save it as UTF-8"
-    except OSError as error:
-        place, sentence = _START, f"the file cannot be read: {error.strerror or error}"
-    except ValueError as error:
-        place, sentence = _START, f"the file cannot be read: {error}"
-    problem = Problem(
-        place=place,
-        path=path_in_data,
-        sentence=sentence,
-        hint=hint,
-        file=str(path),
-        error_code="UOA-101",
-    )
-    return Document(None, NodePosition(_START), (problem,), whole=False)
-
-
-def _octets(path: File, limit: int) -> bytes:
-    """Read a regular file; a pipe or device could go on for ever.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is no regular file, too large, or the path cannot be one.
-    """
-    mode = path.stat().st_mode
-    if stat.S_ISDIR(mode):
-        raise ValueError("it is a folder")
-    if not stat.S_ISREG(mode):
-        raise ValueError("it is not a regular file")
-    with path.open("rb") as stream:
-        raw = stream.read(limit + 1)
-    if len(raw) > limit:
-        raise ValueError(f"it has more than {limit:,} bytes")
-    return raw
+        return read(read_text(path, budget.octets), str(path), budget)
+    except UnreadableFileError as error:
+        problem = Problem(
+            place=Position(error.line or 1, 1),
+            path="$" if error.line else "",
+            sentence=error.sentence,
+            hint=error.hint,
+            file=str(path),
+            error_code="UOA-101",
+        )
+        return Document(None, NodePosition(_START), (problem,), whole=False)
 
 
 def read(text: str, file: str = "", budget: ReadBudget = _ROBOT) -> Document:
