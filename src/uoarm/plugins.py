@@ -6,6 +6,7 @@ Bridges have their contract in `uoarm.bridge`, front ends theirs in `uoarm.serve
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -52,6 +53,37 @@ class Command:
 
 class CommandParser(argparse.ArgumentParser):
     """Reads the words of a command as argparse does; wrong ones raise CommandLineError."""
+
+    def add_configuration(self) -> None:
+        """Have the command take its configuration as each command does: a word, or with -f."""
+        self.add_argument(
+            "place",
+            metavar="FILE",
+            nargs="?",
+            help="configuration; else UOARM_CONFIG or robot.yaml",
+        )
+        self.add_argument("-f", "--file", help="configuration, in place of FILE")
+
+    def named_configuration(self, given: argparse.Namespace) -> str | None:
+        """Return the configuration that the words name; None where they name none.
+
+        Raises:
+            CommandLineError: they name two.
+        """
+        place: str | None = given.place
+        file: str | None = given.file
+        if None not in {place, file} and place != file:
+            self.error(f"the configuration is named twice: {place} and -f {file}")
+        return file if place is None else place
+
+    def configuration(self, given: argparse.Namespace) -> str:
+        """Return the configuration that the words name, else UOARM_CONFIG, else robot.yaml.
+
+        Raises:
+            CommandLineError: they name two.
+        """
+        named = self.named_configuration(given)
+        return named or os.environ.get("UOARM_CONFIG") or "robot.yaml"
 
     def error(self, message: str) -> NoReturn:
         """Show how the command is used, and raise."""

@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from uoarm.cli import _main, main
-from uoarm.plugins import Command, hookimpl
+from uoarm.errors import CommandLineError
+from uoarm.plugins import Command, CommandParser, hookimpl
 
 seen: list[list[str]] = []
 
@@ -65,3 +66,26 @@ def test_one_that_cannot_be_run_says_why(name: str, said: str) -> None:
     assert result.exit_code == 4
     assert said in result.output
     assert not seen
+
+
+@pytest.mark.parametrize(
+    ("words", "variable", "file"),
+    [
+        ([], None, "robot.yaml"),
+        ([], "lab.yaml", "lab.yaml"),
+        (["a.yaml"], "lab.yaml", "a.yaml"),
+        (["-f", "b.yaml"], "lab.yaml", "b.yaml"),
+        (["--file", "b.yaml", "b.yaml"], None, "b.yaml"),
+    ],
+)
+def test_it_takes_its_configuration_as_every_command_does(
+    words: list[str], variable: str | None, file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("UOARM_CONFIG", raising=False)
+    if variable is not None:
+        monkeypatch.setenv("UOARM_CONFIG", variable)
+    parser = CommandParser("uoarm program")
+    parser.add_configuration()
+    assert parser.configuration(parser.parse_args(words)) == file
+    with pytest.raises(CommandLineError, match=r"named twice: a\.yaml and -f b\.yaml"):
+        parser.configuration(parser.parse_args(["a.yaml", "-f", "b.yaml"]))

@@ -17,10 +17,12 @@ from typing import Any
 
 import pytest
 from agents import TOKENS, text_of
+from click.testing import CliRunner
 from components import CONFIGURATION
 from mcp.client.client import Client
 from mcp.client.stdio import StdioServerParameters, stdio_client
 
+from uoarm.cli import main
 from uoarm.client import connect
 from uoarm.testing import patience, wait
 
@@ -200,3 +202,18 @@ def test_an_agent_that_reads_nothing_holds_up_no_person(tmp_path: Path, access: 
             ask(process, number, {"a": 1, "b": 2})
         assert asyncio.run(asyncio.wait_for(approvals(url), patience())) == []
         assert sorted(answer(process)["id"] for _ in range(200)) == list(range(200))
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (["-f", "none.yaml"], 3, "none.yaml: the file cannot be read"),
+        (["robot.yaml", "-f", "none.yaml"], 2, "the configuration is named twice"),
+        (["--http", "65536"], 2, "argument --http: expected 0 to 65535, got 65536"),
+        (["--port", "-1"], 2, "argument --port: expected 0 to 65535, got -1"),
+    ],
+)
+def test_wrong_words_are_one_clear_error(words: list[str], code: int, text: str) -> None:
+    done = CliRunner().invoke(main, ["mcp", *words])
+    assert (done.exit_code, done.stdout) == (code, ""), done.output
+    assert text in done.stderr

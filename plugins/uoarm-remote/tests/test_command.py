@@ -110,3 +110,20 @@ def test_it_is_a_command_of_uoarm() -> None:
         check=True,
     )
     assert "uoarm fleet" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (["-f", "none.yaml"], 3, "none.yaml: the file cannot be read"),
+        (["a.yaml", "--file", "none.yaml"], 2, "the configuration is named twice"),
+        (["--browse", "--file", "a.yaml"], 2, "--browse reads no configuration: leave a.yaml out"),
+        (["--browse", "--seconds", "nan"], 2, "expected more than 0 and up to 60, got nan"),
+        (["--browse", "--seconds", "x"], 2, "expected more than 0 and up to 60, got x"),
+    ],
+)
+def test_wrong_words_are_one_clear_error(
+    words: list[str], code: int, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fleet(*words) == code
+    assert text in capsys.readouterr().err

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from click import BadParameter
 from click.testing import CliRunner
 from lines import LIMIT
 from rigs import Events, bridged, endpoint
@@ -101,3 +102,21 @@ def test_what_makes_no_sense_is_said(words: list[str], said: str) -> None:
     result = CliRunner().invoke(uoarm, ["rocos", "simulate", *words])
     assert result.exit_code != 0
     assert said in result.output
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["robot", "--drop", "nan"],
+        ["robot", "--garble", "nan"],
+        ["robot", "--delay", "nan"],
+        ["robot", "--disconnect", "nan"],
+        ["oximeter", "--spo2", "nan"],
+        ["oximeter", "--apnoea", "nan"],
+        ["blood-pressure", "--interval", "nan"],
+    ],
+)
+def test_what_is_no_number_is_in_no_range(words: list[str]) -> None:
+    done = CliRunner().invoke(rocos, ["simulate", *words, "--tcp", "0"], standalone_mode=False)
+    assert isinstance(done.exception, BadParameter)
+    assert "nan is not in the range" in str(done.exception)

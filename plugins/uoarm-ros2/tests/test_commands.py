@@ -88,7 +88,7 @@ def test_what_is_installed_is_listed_without_a_graph(run: Run) -> None:
         (("echo-structure", "/x", "std_msgs/Int64"), 2, "did you mean 'std_msgs/msg/Int64'"),
         (("list", "--domain", "500"), 2, "argument --domain: expected 0 to 232, got 500"),
         (("list", "--domain", "-1"), 2, "argument --domain: expected 0 to 232, got -1"),
-        (("list", "--domain", "x"), 2, "argument --domain: invalid"),
+        (("list", "--domain", "x"), 2, "argument --domain: expected 0 to 232, got x"),
     ],
 )
 def test_what_cannot_be_shown_says_why(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import os
 import sys
@@ -17,6 +18,7 @@ from uoarm_mcp._stdio import serve_stdio
 __all__ = ["main", "uoarm_commands"]
 
 _REFUSED, _USED = 1, 5
+_LAST_PORT = 65_535
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -25,7 +27,9 @@ def main(arguments: list[str] | None = None) -> int:
     Raises:
         UoarmError: it cannot be served, or the words are wrong.
     """
-    given = _parser().parse_args(arguments)
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    path = parser.configuration(given)
     try:
         options = ServerOptions(
             host=given.host,
@@ -38,7 +42,6 @@ def main(arguments: list[str] | None = None) -> int:
             audit=given.audit,
             front_end_ports={} if given.http is None else {"mcp": given.http},
         )
-        path = given.file or os.environ.get("UOARM_CONFIG") or "robot.yaml"
         with RobotManager.from_file(path) as robot:
             robot.offer(timeout=0)
             if given.http is None:
@@ -69,13 +72,13 @@ def _parser() -> CommandParser:
         description=f"{__doc__} The token of the agent is UOARM_TOKEN. Approvals are given over "
         "WebSocket, with `uoarm approve`.",
     )
-    parser.add_argument("file", nargs="?", help="configuration; else UOARM_CONFIG or robot.yaml")
+    parser.add_configuration()
     parser.add_argument(
-        "--http", type=int, metavar="PORT", help="serve agents over HTTP at /mcp; 0: a free port"
+        "--http", type=_port, metavar="PORT", help="serve agents over HTTP at /mcp; 0: a free port"
     )
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument(
-        "--port", type=int, default=9080, help="of the WebSocket server; 0: a free one"
+        "--port", type=_port, default=9080, help="of the WebSocket server; 0: a free one"
     )
     parser.add_argument("--access", type=Path, help="access file with roles and tokens")
     parser.add_argument("--audit", type=Path, help="file that the audit log is appended to")
@@ -86,6 +89,13 @@ def _parser() -> CommandParser:
         "--client-authority", type=Path, help="PEM file that client certificates rest on"
     )
     return parser
+
+
+def _port(given: str) -> int:
+    number = int(given) if given.isdecimal() else -1
+    if not 0 <= number <= _LAST_PORT:
+        raise argparse.ArgumentTypeError(f"expected 0 to {_LAST_PORT}, got {given}")
+    return number
 
 
 def _say(server: Server, options: ServerOptions) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import os
+import math
 import shutil
 import sys
 import textwrap
@@ -71,10 +71,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = _parser()
     given = parser.parse_args(arguments)
     if given.browse:
-        if given.file is not None:
-            parser.error(f"--browse reads no configuration: leave {given.file} out")
+        named = parser.named_configuration(given)
+        if named is not None:
+            parser.error(f"--browse reads no configuration: leave {named} out")
         return _browse(given.seconds, as_json=given.json)
-    path = given.file or os.environ.get("UOARM_CONFIG") or "robot.yaml"
+    path = parser.configuration(given)
     registry = Registry()
     robot = load(path, registry.types)
     managers = {
@@ -164,7 +165,7 @@ def _parser() -> CommandParser:
         description="Show the live status of each manager that a configuration imports from. Opens "
         "nothing. Exit code 0 when all were reached, 3 for a mistake in the file, 4 otherwise.",
     )
-    parser.add_argument("file", nargs="?", help="configuration; else UOARM_CONFIG or robot.yaml")
+    parser.add_configuration()
     parser.add_argument(
         "--browse",
         action="store_true",
@@ -182,7 +183,10 @@ def _parser() -> CommandParser:
 
 
 def _seconds(given: str) -> float:
-    seconds = float(given)
+    try:
+        seconds = float(given)
+    except ValueError:
+        seconds = math.nan
     if not 0 < seconds <= _MOST_SECONDS:
         raise argparse.ArgumentTypeError(f"expected more than 0 and up to 60, got {given}")
     return seconds

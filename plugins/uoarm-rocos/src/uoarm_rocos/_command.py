@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
@@ -34,8 +35,27 @@ from uoarm_rocos.simulate import (
 __all__ = ["main", "uoarm_commands"]
 
 F = TypeVar("F", bound=Callable[..., Any])
-_CHANCE = click.FloatRange(0, 1)
-_SECONDS = click.FloatRange(0, 86_400)
+
+
+class BoundedNumber(click.FloatRange):
+    """A number from a least to a greatest one, which NaN is not."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number.
+
+        Raises:
+            click.BadParameter: it is none, or out of range.
+        """
+        number = float(super().convert(value, param, ctx))
+        if math.isnan(number):
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
+        return number
+
+
+_CHANCE = BoundedNumber(0, 1)
+_SECONDS = BoundedNumber(0, 86_400)
 
 
 @click.group()
@@ -74,7 +94,7 @@ def _line_options(command: F) -> F:
 
 
 def _number(flag: str, least: float, most: float, default: float, text: str) -> Callable[[F], F]:
-    kind = click.FloatRange(least, most)
+    kind = BoundedNumber(least, most)
     return click.option(flag, type=kind, default=default, show_default=True, help=text)
 
 

@@ -70,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _domain(text: str) -> int:
-    number = int(text)
+    number = int(text) if text.isdecimal() else -1
     if not 0 <= number <= HIGHEST_DOMAIN:
         raise argparse.ArgumentTypeError(f"expected 0 to {HIGHEST_DOMAIN}, got {text}")
     return number

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import signal
 import subprocess
@@ -83,9 +84,12 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _seconds(text: str) -> float:
-    seconds = float(text)
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
     if not 0 < seconds <= 60:  # noqa: PLR2004 - as for the bridge's calls
-        raise argparse.ArgumentTypeError("expected seconds above 0, up to 60")
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, up to 60, got {text}")
     return seconds
 
 
