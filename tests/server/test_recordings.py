@@ -15,6 +15,7 @@ from tests.server.talk import Talk
 from uoarm import RobotManager
 from uoarm.client import connect
 from uoarm.config import loads
+from uoarm.errors import ConfigurationError
 from uoarm.model import QueuePolicy
 from uoarm.server import Limits, Server, hash_token
 from uoarm.testing import Emitter, MemoryBridge, wait
@@ -143,6 +144,24 @@ def test_what_clients_record_is_bounded(serve: Serve, tmp_path: Path) -> None:
         full = client.refused("Record", "", {"functions": ["counter"]})
         assert full["code"] == "limit"
         assert "remove some" in full["text"]
+
+
+def test_a_folder_that_cannot_be_used_keeps_the_server_from_starting(
+    serve: Serve, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigurationError, match=r"recordings cannot be written to .*file/kept: "):
+        serve(recordings=tmp_path / "file" / "kept")
+
+
+def test_a_folder_that_is_gone_is_said_to_who_records(serve: Serve, tmp_path: Path) -> None:
+    folder = tmp_path / "kept"
+    with talk(serve(recordings=folder)) as client:
+        folder.rmdir()
+        folder.touch()
+        refused = client.refused("Record", "", {"functions": ["counter"]})
+        assert refused["code"] == "usage"
+        assert f"recordings cannot be written to {folder}: " in refused["text"]
 
 
 def test_a_recording_ends_when_it_has_what_one_may_have(

@@ -19,7 +19,7 @@ from uoarm._control import RobotManager
 from uoarm._raised import foreign
 from uoarm._support.process_tuning import give_memory_back
 from uoarm._wire import FORMS, TEXT_FORM
-from uoarm.errors import ConfigurationError
+from uoarm.errors import ConfigurationError, UsageError
 from uoarm.model import StatusEvent
 from uoarm.server._options import ServerOptions
 from uoarm.server.access import Admission, Audit, AuditFile
@@ -47,6 +47,7 @@ from uoarm.server.session import (
     StatelessClients,
     TurnConnection,
     host_of,
+    make_folder,
 )
 from uoarm.server.streams import FeedRegistry, Shares
 
@@ -155,8 +156,13 @@ class Server:
 
         Raises:
             OSError: a port is taken, or the address is none of this machine; the text names it.
-            ConfigurationError: the audit log cannot be written.
+            ConfigurationError: the audit log, or recordings to their folder, cannot be written.
         """
+        if self._settings.recordings is not None:
+            try:
+                make_folder(self._settings.recordings)
+            except UsageError as error:
+                raise ConfigurationError(str(error)) from error
         if self._settings.audit is not None:
             self._audit_file = AuditFile(self._settings.audit)
         registry = self._registry = FeedRegistry(self._robot, self._limits)

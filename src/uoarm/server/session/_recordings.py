@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
@@ -15,7 +17,7 @@ from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.streams import FeedRegistry
 
-__all__ = ["RecordingAnswer", "RecordingRequests"]
+__all__ = ["RecordingAnswer", "RecordingRequests", "make_folder"]
 
 RecordingAnswer: TypeAlias = "Callable[[ConnectedClient, RoleView, ControlMessage], Awaitable[Any]]"
 
@@ -175,7 +177,7 @@ class RecordingRequests:
         return self._player(name, client, view, status)
 
     def _begin(self, functions: list[str], options: dict[str, Any]) -> Recording:
-        self._folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        make_folder(self._folder)
         used = sum(file["octets"] for file in _files(self._folder))
         if used >= self._limits.recordings_bytes:
             raise LimitError(
@@ -251,6 +253,22 @@ def _sees(view: RoleView, functions: Iterable[str]) -> bool:
 def _functions_of(robot: Robot, bridge: str) -> list[str]:
     """Return the functions that have a component in a bridge."""
     return sorted({item.function for item in robot.components() if item.bridge == bridge})
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder of recordings, or see that it can be used.
+
+    Raises:
+        UsageError: it cannot.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if not os.access(path, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise UsageError(
+            f"recordings cannot be written to {path}: {error.strerror or error}"
+        ) from error
 
 
 def _files(folder: Path) -> list[dict[str, Any]]:
