@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from mcap.reader import make_reader
 from tests.disk import full_after
 from tests.record.conftest import COUNT, PICTURE, ROBOT, messages, of_topic, readable
 
-from uoarm import RobotManager
+from uoarm import Connection, RobotManager
+from uoarm._control.live import connection_runtime
 from uoarm.cdr import Codec
 from uoarm.errors import ResolutionError, UsageError
 from uoarm.model import Message, MessageStructure, QueuePolicy, StatusEvent
@@ -109,6 +111,32 @@ def test_a_takeover_is_in_the_file_with_its_gap(
     gaps = [event["gap"] for event in events if event["change"] == "gap"]
     assert [(gap["before"], gap["after"]) for gap in gaps] == [(["eye"], ["spare"])]
     assert any(event["subject"] == "component eye" for event in events)
+
+
+def test_gaps_that_a_connection_has_forgotten_hide_no_later_one(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection_runtime, "_GAPS", 2)
+    bridge.emitter("eye", COUNT)
+    robot, names = make_robot(), ["eye", "spare"]
+    with robot.record("camera", path=tmp_path / "run.mcap", queue=BLOCK) as recording:
+        (connection,) = robot.connections()
+        for number in range(5):
+            here, there = names[number % 2], names[(number + 1) % 2]
+            bridge.emitter(there, COUNT)
+            bridge.die(here)
+            wait(partial(has_moved_to, connection, there))
+    (path,) = recording.status().files
+    events = read_json_of(path, "/uoarm/events")
+    times = [event["gap"]["time"] for event in events if "gap" in event]
+    assert times == sorted(set(times))
+    assert times[-1] == connection.gaps[-1].time
+
+
+def has_moved_to(connection: Connection, component: str) -> bool:
+    """Say whether its last gap leads to a component, with what was lost in it."""
+    gaps = connection.gaps
+    return bool(gaps) and gaps[-1].counted and gaps[-1].after == (component,)
 
 
 def test_what_finds_no_room_before_the_writer_is_counted_and_seen_in_the_numbers(

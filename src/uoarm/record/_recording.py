@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import threading
 import time
@@ -18,7 +19,7 @@ from typing_extensions import Self
 
 from uoarm._raised import LimitedLog, text_of
 from uoarm.errors import MessageError, UoarmError, UsageError
-from uoarm.model import Message, StatusEvent
+from uoarm.model import Gap, Message, StatusEvent
 from uoarm.record._arrivals import Arrivals, ReadOctets, RecordedConnection, RecordedRobot
 from uoarm.record._file import (
     KeptMessage,
@@ -63,11 +64,17 @@ class _Track:
     recorded: int = 0
     unwritable: int = 0
     gaps: int = 0
+    last_gap: float = -math.inf
     taken: int = 0
     octets: int = 0
     definition: str = ""
     connection: RecordedConnection | None = None
     form: ChannelForm | None = None
+
+    def new_gaps(self) -> list[Gap]:
+        """Return those since the last that was written. By time: a connection forgets old ones."""
+        assert self.connection is not None, "it was opened"
+        return [gap for gap in self.connection.gaps if gap.time > self.last_gap]
 
 
 _Item: TypeAlias = "tuple[_Track, int, int, Message, int]"
@@ -453,12 +460,15 @@ class Recording:
             if connection is None or event["subject"] != f"connection {connection.id}":
                 continue
             # Of a gap it is known what was lost in it once all that died is closed.
-            for gap in connection.gaps[track.gaps :]:
+            for gap in track.new_gaps():
                 if not gap.counted:
                     break
-                track.gaps += 1
-                message = gap_message(track.function, connection.id, gap)
-                self._add_event(file, at, message)
+                self._write_gap(file, at, track, gap)
+
+    def _write_gap(self, file: McapFile, at: Instant, track: _Track, gap: Gap) -> None:
+        assert track.connection is not None, "it was opened"
+        track.gaps, track.last_gap = track.gaps + 1, gap.time
+        self._add_event(file, at, gap_message(track.function, track.connection.id, gap))
 
     def _add_event(self, file: McapFile, at: Instant, event: Mapping[str, Any]) -> None:
         file.add_message(self._event_form, at.wall, self._event_form.encode(event), 0)
@@ -469,12 +479,8 @@ class Recording:
         if not file.has_channels:
             self._describe(file, at)
         for track in self._tracks:
-            connection = track.connection
-            assert connection is not None, "it was opened"
-            for gap in connection.gaps[track.gaps :]:
-                track.gaps += 1
-                message = gap_message(track.function, connection.id, gap)
-                self._add_event(file, at, message)
+            for gap in track.new_gaps():
+                self._write_gap(file, at, track, gap)
         with self._counting:
             dropped = dict(self._dropped)
         counts = {
