@@ -33,9 +33,9 @@ _delays.begin()
 # Half of the time a worker waits, for processes and for silence: so there are more of them than
 # cores, by as many at most.
 SPARE_WORKERS = 4
-# One worker runs all tests of these, so that the scene is started once, and always as they stand,
-# as parts of the scene are ended one after another.
-TOGETHER = {"tests/examples/test_healthbot.py"}
+# One worker runs all tests of these, so that the scene is started, or what they share is built,
+# once, and always as they stand, as parts of a scene are ended one after another.
+TOGETHER = {"tests/examples/test_healthbot.py", "tests/packaging/test_distributions.py"}
 # The last resort against a test that hangs where nothing limits its wait.
 HANGING = 10
 # Processor time, which a busy machine does not lengthen, from which on a test is a long one.

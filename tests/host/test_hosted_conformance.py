@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 from attrs import evolve
+from tests.harness._hosts import lent, shared_host
 from tests.local.test_python_conformance import samples
 
-from uoarm._host import RemoteBridge
 from uoarm.bridge import Bridge
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
-from uoarm.testing import patience
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 
 TESTS = Path(__file__).parents[1]
@@ -63,10 +62,8 @@ def at(target: str, role: Role, **parameters: object) -> Endpoint:
 @pytest.fixture(scope="module")
 def shared(unhurried: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bridge]:
     del unhurried
-    spec = HostedWorld(tmp_path_factory.getbasetemp()).spec()
-    made = RemoteBridge(evolve(spec, host={"silence": patience(), "start": patience()}))
-    yield made
-    made.close()
+    with shared_host(HostedWorld(tmp_path_factory.getbasetemp()).spec()) as made:
+        yield made
 
 
 @pytest.mark.usefixtures("unhurried")
@@ -81,7 +78,8 @@ class TestHostedPythonBridge(BridgeConformance):
         return HostedWorld(tmp_path)
 
     @pytest.fixture
-    def bridge(self, shared: Bridge) -> Iterator[Bridge]:
-        """One host for all tests that end none, each of which leaves nothing open in it."""
-        yield shared
-        assert shared.open_channels == 0
+    def bridge(
+        self, shared: Bridge, world: World, request: pytest.FixtureRequest
+    ) -> Iterator[Bridge]:
+        with lent(shared, world, request) as made:
+            yield made

@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterator
 import pytest
 from conformance_world import KINDS, TYPES_IDL, RtmWorld, begin_loop
 from peers import Peer
+from tests.harness._hosts import lent, shared_host  # type: ignore[import-not-found]
 
+from uoarm.bridge import Bridge
 from uoarm.testing.conformance import BridgeConformance, World
 
 
@@ -24,6 +26,12 @@ def loop(nameserver: str) -> Iterator[Peer]:
 HOSTS = importlib.util.find_spec("zenoh") is not None
 
 
+@pytest.fixture(scope="module")
+def shared(loop: Peer, nameserver: str) -> Iterator[Bridge]:
+    with shared_host(RtmWorld(nameserver, loop, Peer).spec()) as made:
+        yield made
+
+
 @pytest.mark.skipif(not HOSTS, reason="needs uoarm[hosts]")
 class TestHostedRtmBridge(BridgeConformance):
     """The suite through a bridge host, whose link has its own tests: two kinds are enough."""
@@ -34,6 +42,13 @@ class TestHostedRtmBridge(BridgeConformance):
     @pytest.fixture
     def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:
         return RtmWorld(nameserver, loop, peer)
+
+    @pytest.fixture
+    def bridge(
+        self, shared: Bridge, world: World, request: pytest.FixtureRequest
+    ) -> Iterator[Bridge]:
+        with lent(shared, world, request) as made:
+            yield made
 
 
 class TestRtmBridge(BridgeConformance):
