@@ -88,10 +88,12 @@ META = {
 
 
 @contextmanager
-def started(folder: Path, access: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+def started(
+    folder: Path, access: Path, text: str = CONFIGURATION
+) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """Start the command, and give its process and the address of its WebSocket server."""
     configuration = folder / "robot.yaml"
-    configuration.write_text(CONFIGURATION, encoding="utf-8")
+    configuration.write_text(text, encoding="utf-8")
     words = ["mcp", str(configuration), "--port", "0", "--access", str(access)]
     environment = {**os.environ, "UOARM_TOKEN": TOKENS["agent"], "PYTHONPATH": str(FOLDER)}
     errors = folder / "errors.txt"
@@ -207,7 +209,7 @@ def test_an_agent_that_reads_nothing_holds_up_no_person(tmp_path: Path, access: 
 @pytest.mark.parametrize(
     ("words", "code", "text"),
     [
-        (["-f", "none.yaml"], 3, "none.yaml: the file cannot be read"),
+        (["-f", "none.yaml", "--http", "0"], 3, "none.yaml: the file cannot be read"),
         (["robot.yaml", "-f", "none.yaml"], 2, "the configuration is named twice"),
         (["--http", "65536"], 2, "argument --http: expected 0 to 65535, got 65536"),
         (["--port", "-1"], 2, "argument --port: expected 0 to 65535, got -1"),
@@ -217,3 +219,31 @@ def test_wrong_words_are_one_clear_error(words: list[str], code: int, text: str)
     done = CliRunner().invoke(main, ["mcp", *words])
     assert (done.exit_code, done.stdout) == (code, ""), done.output
     assert text in done.stderr
+
+
+NOISY = """
+import ctypes, os
+def say(when):
+    print("Python says", when)
+    os.system(f"echo a program says {when}")
+    ctypes.CDLL(None).printf(f"C says {when}\\n".encode())
+say("import")
+def add(numbers: dict[str, int]) -> dict[str, int]:
+    say("call")
+    return {"value": sum(numbers.values())}
+"""
+
+
+def test_nothing_that_components_print_stands_among_the_answers(
+    tmp_path: Path, access: Path
+) -> None:
+    (tmp_path / "noisy.py").write_text(NOISY)
+    text = CONFIGURATION.replace("components:add", "noisy:add")
+    with started(tmp_path, access, text) as (process, _):
+        ask(process, 1, {"a": 1, "b": 2})
+        assert answer(process)["result"]["structuredContent"]["result"] == {"value": 3}
+        assert process.communicate(timeout=patience())[0] == b""
+    errors = (tmp_path / "errors.txt").read_text("utf-8")
+    for who in ("Python", "a program", "C"):
+        assert f"{who} says import\n" in errors
+        assert f"{who} says call\n" in errors

@@ -15,6 +15,7 @@ from uoarm import RobotManager
 from uoarm._support.files import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._file import STANDARD, DefaultConfiguration, takes_configuration
+from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
@@ -67,7 +68,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
         if as_json:
             _print_json(findings, in_one_line=watch)
         else:
-            click.echo(fitted("\n".join(map(str, findings))) or "no bridge plugin is installed")
+            echo(fitted("\n".join(map(str, findings))) or "no bridge plugin is installed")
         while watch:
             time.sleep(every)
             before, findings = findings, robot.discover(timeout=timeout)
@@ -115,7 +116,7 @@ def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
             _say_unasked(registry, named)
         lines = suggestion_for(given, findings, configured=given.bridges)
         if into is None:
-            click.echo(lines, nl=False)
+            echo(lines, nl=False)
         else:
             _merge_into(Path(into), before, lines)
         sys.exit(0 if any(not found.cause for found in findings) else BRIDGE)
@@ -148,13 +149,13 @@ def _merge_into(path: Path, before: bytes, lines: str) -> None:
         text = f"{path} was changed meanwhile: nothing was added"
         raise UsageError(text, error_code="UOA-003")
     if merged == before:
-        click.echo(f"{path}: it has everything already")
+        echo(f"{path}: it has everything already")
         return
     try:
         write_whole(path, merged)
     except OSError as error:
         fail(f"{path} cannot be written: {error}", REFUSED, "UOA-003")
-    click.echo(f"{path}: {len(merged.splitlines()) - len(before.splitlines())} lines added")
+    echo(f"{path}: {len(merged.splitlines()) - len(before.splitlines())} lines added")
 
 
 @contextmanager
@@ -190,7 +191,7 @@ def with_every_plugin(robot: Robot, registry: Registry) -> Robot:
 
 def _print_json(findings: tuple[BridgeFindings, ...], *, in_one_line: bool) -> None:
     if in_one_line:
-        click.echo(write_json(to_json(findings)))
+        echo(write_json(to_json(findings)))
     else:
         print_json(findings)
 
@@ -201,10 +202,10 @@ def _print_differences(
     old, new = dict.fromkeys(rows(before)), dict.fromkeys(rows(after))
     for row in old:
         if row not in new:
-            click.secho(fitted(f"- {row}"), fg="red")
+            echo(click.style(fitted(f"- {row}"), fg="red"))
     for row in new:
         if row not in old:
-            click.secho(fitted(f"+ {row}"), fg="green")
+            echo(click.style(fitted(f"+ {row}"), fg="green"))
 
 
 def rows(findings: Iterable[BridgeFindings]) -> Iterable[str]:

@@ -14,6 +14,7 @@ from uoarm._forks import default_in_children
 from uoarm.bridge import Registry
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._log import at_least
+from uoarm.cli._output import echo
 from uoarm.cli._shared import Seconds, needing, reporting
 from uoarm.config import load
 from uoarm.errors import CommandLineError
@@ -139,7 +140,7 @@ def _answer(bridge: str, port: int, file: str) -> None:
         face = XmlRpcServer(
             made, (end for component in mine for end in _endpoints(component)), port
         )
-        click.echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
+        echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
         try:
             threading.Event().wait()
         finally:

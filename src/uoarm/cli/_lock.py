@@ -33,6 +33,7 @@ from uoarm._support.files import write_whole
 from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm.bridge import Registry
 from uoarm.cli._file import takes_configuration
+from uoarm.cli._output import echo
 from uoarm.cli._shared import REFUSED, print_warning, reporting
 from uoarm.config import load
 from uoarm.errors import ResolutionError
@@ -201,7 +202,7 @@ def lock(
                 findings = _compared(before, lock_of(robot))
     text = FORMS[form](findings, place)
     if text:
-        click.echo(text)
+        echo(text)
     sys.exit(0 if all(finding.outcome is LockOutcome.FITS for finding in findings) else REFUSED)
 
 
@@ -242,7 +243,7 @@ def _write(file: str, path: Path) -> int:
     for name, why in refused.items():
         print_warning(f"{name} has no plan: {why}")
     functions, structures = len(made.functions), len(made.structures)
-    click.echo(f"{path}: functions: {functions}, structures: {structures}")
+    echo(f"{path}: functions: {functions}, structures: {structures}")
     return REFUSED if refused else 0
 
 
@@ -291,7 +292,7 @@ def types(file: str, form: str | None, path: str | None, output: str | None) -> 
         robot = read_functions(lock)
         text = _WRITERS[form](robot)
         if output is None:
-            click.echo(text, nl=False)
+            echo(text, nl=False)
         else:
             _write_file(Path(output), text)
     refused = [name for name, function in robot.functions.items() if function.refused]

@@ -22,6 +22,7 @@ from uoarm._raised import text_of
 from uoarm._support.process_tuning import short_switch_interval
 from uoarm._version import __version__
 from uoarm.cli._log import add_log_options, logging_to_stderr
+from uoarm.cli._output import keep_apart
 from uoarm.cli._shared import (
     INTERRUPTED,
     JSON,
@@ -136,6 +137,7 @@ class PluginGroup(click.Group):
             with importing():
                 found: click.Command = getattr(import_module(f"uoarm.cli.{module}"), attribute)
             add_log_options(found)
+            keep_apart(found)
             self.add_command(found, cmd_name)
             return found
         point = next(

@@ -15,6 +15,7 @@ import click
 
 from uoarm._forks import default_in_children
 from uoarm.cli._file import takes_configuration
+from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
@@ -100,7 +101,7 @@ def record(
             except (KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how recording ends
                 pass
         status = recording.status()
-    click.echo(write_json(to_json(status)) if as_json else summary(status))
+    echo(write_json(to_json(status)) if as_json else summary(status))
     if status.state == "failed":
         print_failure(f"the recording ended: {status.cause}", "UOA-810", as_json=False)
         sys.exit(BRIDGE)
@@ -113,7 +114,7 @@ def _follow(recording: Recording, *, as_json: bool) -> None:
     while not recording.wait(_PROGRESS_SECONDS):
         status = recording.status()
         if as_json:
-            click.echo(write_json(to_json(status)))
+            echo(write_json(to_json(status)))
         elif is_terminal:
             click.echo(f"\r{_line(status, time.monotonic() - began)}", nl=False, err=True)
     if is_terminal and not as_json:
@@ -185,8 +186,8 @@ def check_against(
     else:
         for result in results:
             if len(results) > 1:
-                click.secho(result.file, bold=True)
-            click.echo("\n".join(_report(result)))
+                echo(click.style(result.file, bold=True))
+            echo("\n".join(_report(result)))
     passed = [result.is_passed and (result.is_complete or not is_strict) for result in results]
     sys.exit(0 if all(passed) else REFUSED)
 

@@ -23,6 +23,7 @@ from uoarm._raised import text_of
 from uoarm._support.files import UnreadableFileError, read_text
 from uoarm._support.tls import client_context, show_certificate
 from uoarm.cli._file import takes_configuration
+from uoarm.cli._output import echo
 from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting
 from uoarm.model import write_json
 
@@ -229,7 +230,7 @@ def apply(
         return change
 
     change = asked(server, change_it)
-    click.echo(write_json(change, indent=2) if as_json else change["text"])
+    echo(write_json(change, indent=2) if as_json else change["text"])
 
 
 @click.command()
@@ -247,13 +248,13 @@ def history(*, server: Remote, as_json: bool) -> None:
 
     revisions = asked(server, ask)
     if as_json:
-        click.echo(write_json(revisions, indent=2))
+        echo(write_json(revisions, indent=2))
         return
     for revision in revisions:
         when = datetime.fromtimestamp(revision["time"], timezone.utc).isoformat(timespec="seconds")
-        click.secho(f"revision {revision['revision']}  {when}", bold=True)
+        echo(click.style(f"revision {revision['revision']}  {when}", bold=True))
         for line in (*revision["differences"], *revision["connections"]):
-            click.echo(f"  {line}")
+            echo(f"  {line}")
 
 
 def _text(file: str) -> str:
@@ -283,9 +284,9 @@ def stop(*, server: Remote, release: bool, as_json: bool) -> None:
 
     report = asked(server, act)
     if release:
-        click.echo("{}" if as_json else "commands are let through again")
+        echo("{}" if as_json else "commands are let through again")
         return
-    click.echo(write_json(report, indent=2) if as_json else report["text"])
+    echo(write_json(report, indent=2) if as_json else report["text"])
     sys.exit(0 if report["stopped"] and not report.get("unkept") else 1)
 
 
@@ -319,12 +320,12 @@ def approve(
 
     answer = asked(server, act)
     if as_json:
-        click.echo(write_json(answer, indent=2))
+        echo(write_json(answer, indent=2))
         return
     for item in answer if approval is None else [answer]:
-        click.echo(_shown_approval(item))
+        echo(_shown_approval(item))
     if approval is None and not answer:
-        click.echo("nothing waits for an approval")
+        echo("nothing waits for an approval")
 
 
 def _shown_approval(item: Mapping[str, Any]) -> str:

@@ -19,6 +19,7 @@ from rich.text import Text
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._log import leaving_out
+from uoarm.cli._output import echo, output
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
@@ -95,11 +96,11 @@ def request(
         reading = _Reading(robot, connection, count, duration)
         if not connection.plan.provider.component.outputs:
             _stay(connection, duration)
-        elif sys.stdout.isatty() and not as_json:
+        elif output().isatty() and not as_json:
             _show_live(robot, connection, reading)
         else:
             for message in reading:
-                click.echo(_text_of(message))
+                echo(_text_of(message))
         failure = reading.failure()
     if failure:
         fail(failure, BRIDGE, "UOA-805")
@@ -126,7 +127,7 @@ def call(name: str, message: str, file: str, *, timeout: float) -> None:
     except ValueError as error:
         raise click.BadParameter(f"not JSON: {error}", param_hint="MESSAGE") from error
     with open_robot(file) as robot:
-        click.echo(_text_of(robot.call(name, asked, timeout=timeout)))
+        echo(_text_of(robot.call(name, asked, timeout=timeout)))
 
 
 def _text_of(message: Message, most: int | None = None) -> str:
@@ -289,7 +290,7 @@ class _LineLimit:
 
 def _show_live(robot: RobotManager, connection: Connection, messages: Iterable[Message]) -> None:
     """Print the plan, then messages as they come above a table of flows, until they end."""
-    console = Console(highlight=False)
+    console = Console(file=output(), highlight=False)
     console.print(str(connection.plan), markup=False, soft_wrap=True)
     shown = _LineLimit()
 
@@ -372,7 +373,7 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
         statuses = robot.offer()
         try:
             for status in statuses:
-                click.echo(write_json(to_json(status)) if as_json else _line(status))
+                echo(write_json(to_json(status)) if as_json else _line(status))
             if not once:
                 _follow(robot, statuses, as_json=as_json)
                 statuses = robot.status().offers
@@ -395,7 +396,7 @@ def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: 
             event.change,
             event.cause,
         ):
-            click.echo(write_json(to_json(event)) if as_json else event)
+            echo(write_json(to_json(event)) if as_json else event)
         if _is_over(robot.status().offers):
             over.set()
 

@@ -25,6 +25,7 @@ from uoarm._support.yaml import write_flow
 from uoarm._version import __version__
 from uoarm.cli._announce import Announcement
 from uoarm.cli._file import takes_configuration
+from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     fail,
     needing,
@@ -253,7 +254,7 @@ def token(name: str, role: str) -> None:
     made = make_token()
     click.echo(f"token: {made}", err=True)
     words = f"name: {_yaml(name)}, role: {_yaml(role)}, sha256: {hash_token(made)}"
-    click.echo(f"  - {{{words}}}")
+    echo(f"  - {{{words}}}")
 
 
 def _yaml(text: str) -> str:
@@ -390,22 +391,22 @@ def say(server: Server, settings: ServerOptions, *, err: bool = False) -> None:
     s = "s" if settings.secured else ""
     main, *more = (settings.place_from_here(port) for port in server.ports)
     paths = ("/", *(front_end.path for front_end in server.front_ends if front_end.start))
-    click.echo(f"serving {' and '.join(f'ws{s}://{main}{path}' for path in paths)}", err=err)
+    echo(f"serving {' and '.join(f'ws{s}://{main}{path}' for path in paths)}", err=err)
     for name, place in zip(settings.front_end_ports, more, strict=True):
         front_end = next(item for item in server.front_ends if item.name == name)
         kind, path = ("ws", "/") if front_end.start else ("http", front_end.path)
-        click.echo(f"serving {kind}{s}://{place}{path} for {name} clients", err=err)
+        echo(f"serving {kind}{s}://{place}{path} for {name} clients", err=err)
     certificate = settings.certificate_file()
     if certificate is not None:
-        click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}", err=err)
+        echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}", err=err)
     elif not settings.local:
         print_warning("without TLS, tokens and data can be read on the network")
     if settings.everywhere:
         text = f"listening on every address of this machine: elsewhere it is {socket.gethostname()}"
-        click.echo(f"{text}, or an address of it, in place of {main.rpartition(':')[0]}", err=err)
+        echo(f"{text}, or an address of it, in place of {main.rpartition(':')[0]}", err=err)
     if settings.access is not None:
         proof = f"a token of {settings.access} (uoarm token makes one)"
         if settings.client_authority is not None:
             proof += f", or a certificate that rests on {settings.client_authority}"
-        click.echo(f"every client needs {proof}", err=err)
-    click.echo(f"open http{s}://{main}/ in a browser", err=err)
+        echo(f"every client needs {proof}", err=err)
+    echo(f"open http{s}://{main}/ in a browser", err=err)

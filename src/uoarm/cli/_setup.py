@@ -14,6 +14,7 @@ import click
 
 from uoarm import environments
 from uoarm.bridge import Registry
+from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
@@ -65,7 +66,7 @@ def create(
             for environment in environments.listed()
             if environment.name == name
         )
-    click.echo(f"environment {name} is ready: {made}")
+    echo(f"environment {name} is ready: {made}")
     if plugin in found.unusable:
         hint = "--distribution names the middleware to install with it"
         print_warning(
@@ -90,7 +91,7 @@ def list_environments(*, as_json: bool) -> None:
         click.echo(_NONE, err=True)
     for environment in found:
         state = ", ".join(environment.requirements) if environment.is_whole else "incomplete"
-        click.echo(f"{environment.name}: {state}")
+        echo(f"{environment.name}: {state}")
 
 
 @env.command()
@@ -99,7 +100,7 @@ def remove(name: str) -> None:
     """Remove the environment NAME."""
     with reporting():
         environments.remove(name)
-    click.echo(f"environment {name} is removed")
+    echo(f"environment {name} is removed")
 
 
 @env.command()
@@ -117,7 +118,7 @@ def doctor(*, as_json: bool) -> None:
     else:
         for finding in found:
             facts = ", ".join(f"{key} {value}" for key, value in finding.facts.items())
-            click.echo(f"{finding.name}: {finding.problem or facts}")
+            echo(f"{finding.name}: {finding.problem or facts}")
             for plugin, cause in finding.unusable.items():
                 print_warning(f"{finding.name}: the plugin {plugin} cannot be used in it: {cause}")
     if any(finding.problem for finding in found):
@@ -155,10 +156,10 @@ def certificates(
             from uoarm._support.certificates import Authority  # noqa: PLC0415 - needs an extra
         authority = Authority.of(Path(folder))
         if addresses:
-            click.echo(f"the manager: {authority.certify_manager(addresses, days)}")
+            echo(f"the manager: {authority.certify_manager(addresses, days)}")
         for machine in machines:
             made = authority.certify_machine(machine, days)
-            click.echo(f"machine {machine}: {made}; copy it, its .key and ca.pem there")
+            echo(f"machine {machine}: {made}; copy it, its .key and ca.pem there")
 
 
 if TYPE_CHECKING:
@@ -203,8 +204,8 @@ def new_bridge(name: str, into: Path) -> None:
     except OSError as error:
         shutil.rmtree(project, ignore_errors=True)
         fail(f"{project} cannot be made: {error}", REFUSED, "UOA-003")
-    click.echo(f"made {project}; next:\n")
-    click.echo(f"  cd {project}\n  pip install -e '.[dev]'\n  pytest -x")
+    echo(f"made {project}; next:\n")
+    echo(f"  cd {project}\n  pip install -e '.[dev]'\n  pytest -x")
 
 
 def _files(folder: Traversable, prefix: str) -> Iterator[tuple[str, str]]:

@@ -17,6 +17,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from uoarm import errors
+from uoarm.cli._output import echo, output
 
 if TYPE_CHECKING:
     from uoarm import RobotManager
@@ -230,7 +231,7 @@ def print_json(value: Any) -> None:
     """Print a value of the model, or plain data, as indented JSON."""
     from uoarm.model import to_json, write_json  # noqa: PLC0415 - when first needed
 
-    click.echo(write_json(to_json(value), indent=2))
+    echo(write_json(to_json(value), indent=2))
 
 
 def plain(message: Message, most: int | None = None) -> Any:
@@ -279,7 +280,7 @@ def print_failure(
         from uoarm.model import to_json, write_json  # noqa: PLC0415 - when first needed
 
         report = {**details, "error": str(error), "error_code": error_code}
-        click.echo(write_json(to_json(report)))
+        echo(write_json(to_json(report)))
     print_error(error)
     print_error_code(error_code)
 
@@ -304,7 +305,7 @@ _LEAST = 20
 
 def terminal_width() -> int | None:
     """Return the columns of the terminal that stdout is; None where it is none."""
-    return max(_LEAST, shutil.get_terminal_size().columns) if sys.stdout.isatty() else None
+    return max(_LEAST, shutil.get_terminal_size().columns) if output().isatty() else None
 
 
 def fitted(text: str) -> str:

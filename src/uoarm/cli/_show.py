@@ -20,6 +20,7 @@ from click.shell_completion import CompletionItem
 from uoarm._version import __version__
 from uoarm.bridge import Registry
 from uoarm.cli._file import DefaultConfiguration, takes_configuration
+from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
@@ -98,10 +99,10 @@ def check(file: str, *, recordings: tuple[Path, ...], is_strict: bool, as_json: 
             print_error_code(error_code)
         if report.robot is not None:
             functions, bridges = len(report.robot.functions), len(report.robot.bridges)
-            click.echo(f"{file}: no errors (functions: {functions}, bridges: {bridges})")
+            echo(f"{file}: no errors (functions: {functions}, bridges: {bridges})")
         if report.unchecked:
-            click.echo(f"not looked at here, but by uoarm status {file}:")
-            click.echo("\n".join(f"  {line}" for line in report.unchecked))
+            echo(f"not looked at here, but by uoarm status {file}:")
+            echo("\n".join(f"  {line}" for line in report.unchecked))
     sys.exit(0 if report.robot is not None else CONFIGURATION)
 
 
@@ -124,9 +125,9 @@ def list_functions(file: str, *, as_json: bool) -> None:
         print_json(robot.functions)
         return
     for function in robot.functions.values():
-        click.echo(click.style(function.name, bold=True) + f"  {function.description}".rstrip())
+        echo(click.style(function.name, bold=True) + f"  {function.description}".rstrip())
         for component in function.components:
-            click.echo(f"  {component.priority:>4}  {component.name}  ({component.bridge})")
+            echo(f"  {component.priority:>4}  {component.name}  ({component.bridge})")
 
 
 @contextmanager
@@ -175,12 +176,12 @@ def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: boo
         ]
         print_json({**to_json(plan), "offers": to_json(places)})
     elif explain:
-        click.echo(plan)
+        echo(plan)
         for item in offers:
             where = ", ".join(" ".join(endpoint.address) for endpoint in item.endpoints)
-            click.echo(f"offered in {item.bridge} at {where}")
+            echo(f"offered in {item.bridge} at {where}")
     else:
-        click.echo(" -> ".join(step.component.name for step in plan.steps))
+        echo(" -> ".join(step.component.name for step in plan.steps))
 
 
 @click.command()
@@ -200,11 +201,11 @@ def bridges(*, file: str | None, as_json: bool) -> None:
         print_json({"bridges": types, "problems": registry.problems, "assigned": assigned})
         return
     for type_ in registry.types.values():
-        click.echo(f"{type_.name:<10} {type_.summary}")
+        echo(f"{type_.name:<10} {type_.summary}")
     for problem in registry.problems:
-        click.echo(f"{problem.name:<10} {click.style('broken:', fg='red')} {problem.cause}")
+        echo(f"{problem.name:<10} {click.style('broken:', fg='red')} {problem.cause}")
     for option, value in assigned.items():
-        click.echo(f"{option} {value}, chosen by uoarm")
+        echo(f"{option} {value}, chosen by uoarm")
 
 
 @click.command()
@@ -250,9 +251,9 @@ def doctor(*, file: str | None, is_service: bool, unit: str, as_json: bool) -> N
         print_json(facts)
         return
     for name, findings in facts.items():
-        click.echo(click.style(name, bold=True))
+        echo(click.style(name, bold=True))
         for key, finding in findings.items():
-            click.echo(f"  {key:<14} {finding}")
+            echo(f"  {key:<14} {finding}")
 
 
 _COLOURS = {"ok": "green", "warning": "yellow", "error": "red"}
@@ -268,10 +269,10 @@ def _examine_service(name: str, *, as_json: bool) -> None:
     if as_json:
         print_json({"unit": str(unit.path), "usable": is_usable, "findings": to_json(findings)})
     else:
-        click.echo(click.style(str(unit.path), bold=True))
+        echo(click.style(str(unit.path), bold=True))
         for finding in findings:
             level = click.style(f"{finding.level.value:<8}", fg=_COLOURS[finding.level.value])
-            click.echo(f"  {finding.check:<14} {level} {finding.text}")
+            echo(f"  {finding.check:<14} {level} {finding.text}")
     if not is_usable:
         sys.exit(BRIDGE)
 
@@ -373,9 +374,9 @@ def explain(code: str | None, *, markdown: bool, as_json: bool) -> None:
     if as_json:
         print_json(tuple(error_codes.ERROR_CODES.values()) if entry is None else entry)
     elif markdown:
-        click.echo(error_codes.markdown(), nl=False)
+        echo(error_codes.markdown(), nl=False)
     elif entry is not None:
-        click.echo(entry)
+        echo(entry)
     else:
         for known in error_codes.ERROR_CODES.values():
-            click.echo(f"{known.code}  {known.title}")
+            echo(f"{known.code}  {known.title}")

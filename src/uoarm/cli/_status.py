@@ -18,6 +18,7 @@ from uoarm._origin import install_command
 from uoarm.bridge import Registry
 from uoarm.cli._discover import looking
 from uoarm.cli._file import STANDARD, takes_configuration
+from uoarm.cli._output import echo, output
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
@@ -55,7 +56,7 @@ def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool
     async def _follow(robot: Any, show: Callable[[Mapping[str, Any]], None]) -> None:
         while True:
             await asyncio.sleep(every)
-            if sys.stdout.isatty() and not as_json:
+            if output().isatty() and not as_json:
                 click.clear()
             show(await robot.status())
 
@@ -65,18 +66,18 @@ def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool
 async def _follow_events(robot: Any, *, as_json: bool) -> None:
     async for event in robot.watch():
         if as_json:
-            click.echo(write_json({"event": to_json(event)}))
+            echo(write_json({"event": to_json(event)}))
         else:
-            click.echo(fitted(str(event)))
+            echo(fitted(str(event)))
 
 
 def _print_json(status: Mapping[str, Any]) -> None:
-    click.echo(write_json(to_json(status)))
+    echo(write_json(to_json(status)))
 
 
 def _print_tables(status: Mapping[str, Any]) -> None:
     for line in format_status(status, terminal_width()).splitlines():
-        click.echo(line if line.startswith(" ") else click.style(line, bold=True))
+        echo(line if line.startswith(" ") else click.style(line, bold=True))
 
 
 _SECONDS = 10.0
@@ -142,7 +143,7 @@ def show_frameworks(file: str, *, as_json: bool) -> None:
     if as_json:
         print_json(found)
     else:
-        click.echo(fitted("\n".join(map(str, found))) or "no bridge plugin is installed")
+        echo(fitted("\n".join(map(str, found))) or "no bridge plugin is installed")
     sys.exit(0 if any(framework.is_reachable for framework in found) else BRIDGE)
 
 
@@ -227,7 +228,7 @@ def status(
         try:
             while watch:
                 time.sleep(every)
-                if sys.stdout.isatty() and not as_json:
+                if output().isatty() and not as_json:
                     click.clear()
                 functions = _show(robot, as_json=as_json)
         except KeyboardInterrupt:
@@ -242,12 +243,13 @@ def _show(robot: RobotManager, *, as_json: bool) -> tuple[FunctionStatus, ...]:
         return functions
     for bridge in robot.config.bridges.values():
         for option, value in bridge.assigned.items():
-            click.echo(fitted(f"{bridge.name}  {option} {value}, chosen by uoarm"))
+            echo(fitted(f"{bridge.name}  {option} {value}, chosen by uoarm"))
     for function in functions:
         head, _, candidates = str(function).partition("\n")
-        click.secho(fitted(head), bold=True, fg="red" if function.provider is None else "green")
+        colour = "red" if function.provider is None else "green"
+        echo(click.style(fitted(head), bold=True, fg=colour))
         if candidates:
-            click.echo(fitted(candidates))
+            echo(fitted(candidates))
     for machine in robot.status().machines:
-        click.echo(fitted(str(machine)))
+        echo(fitted(str(machine)))
     return functions

@@ -14,6 +14,7 @@ from uoarm._raised import foreign, sentence_of
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
 from uoarm.cli._file import DefaultConfiguration, takes_configuration
+from uoarm.cli._output import echo
 from uoarm.cli._serve import cannot_listen, listening_options, say, stop_file_of, stopping
 from uoarm.cli._shared import Seconds, json_option, needing, reporting
 from uoarm.config import add_functions, load
@@ -98,7 +99,7 @@ class _Follower:
         *,
         unfed: tuple[str, ...] = (),
         as_json: bool,
-        echo: Callable[[str], None] = click.echo,
+        echo: Callable[[str], None] = echo,
     ) -> None:
         self._manager = manager
         self._unfed = unfed

@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from uoarm import RobotManager
@@ -13,7 +14,7 @@ from uoarm.errors import CommandLineError
 from uoarm.plugins import Command, CommandParser, hookimpl
 from uoarm.server import Server, ServerOptions, run
 from uoarm.server.front_end import RefusedError
-from uoarm_mcp._stdio import serve_stdio
+from uoarm_mcp._stdio import own_wire, serve_stdio
 
 __all__ = ["main", "uoarm_commands"]
 
@@ -42,15 +43,18 @@ def main(arguments: list[str] | None = None) -> int:
             audit=given.audit,
             front_end_ports={} if given.http is None else {"mcp": given.http},
         )
-        with RobotManager.from_file(path) as robot:
+        served: AbstractContextManager[tuple[int, int] | None] = nullcontext()
+        if given.http is None:
+            served = own_wire()
+        with served as wire, RobotManager.from_file(path) as robot:
             robot.offer(timeout=0)
-            if given.http is None:
+            if wire is None:
+                run(robot, options, lambda server: _say(server, options))
+            else:
                 token = os.environ.get("UOARM_TOKEN", "")
                 asyncio.run(
-                    serve_stdio(robot, options, token, lambda server: _say(server, options))
+                    serve_stdio(wire, robot, options, token, lambda server: _say(server, options))
                 )
-            else:
-                run(robot, options, lambda server: _say(server, options))
     except RefusedError as error:
         raise CommandLineError(
             str(error), exit_code=_REFUSED, error_code=error.error_code

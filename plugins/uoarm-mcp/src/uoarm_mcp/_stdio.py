@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import fcntl
 import os
 import queue
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
@@ -27,7 +29,7 @@ from uoarm.server import Limits, Server, ServerOptions
 from uoarm.server.front_end import Discoveries
 from uoarm_mcp._service import AgentService
 
-__all__ = ["serve_stdio"]
+__all__ = ["own_wire", "serve_stdio"]
 
 _LINE_OCTETS = 1_048_576
 _CHUNK_OCTETS = 65_536
@@ -37,16 +39,22 @@ _DRAIN_SECONDS = 2.0
 
 
 async def serve_stdio(
-    robot: RobotManager, options: ServerOptions, token: str, serving: Callable[[Server], None]
+    wire: tuple[int, int],
+    robot: RobotManager,
+    options: ServerOptions,
+    token: str,
+    serving: Callable[[Server], None],
 ) -> None:
     """Serve one agent until its input ends or a signal asks for the end, beside the WebSocket.
 
     Args:
+        wire: of `own_wire`.
         robot: whose functions.
         options: of the WebSocket server, at which a person approves.
         token: of the agent.
         serving: called when the server listens.
     """
+    incoming, outgoing = wire
     server = Server(robot, options)
     await server.start()
     loop = asyncio.get_running_loop()
@@ -57,18 +65,17 @@ async def serve_stdio(
         service = AgentService(
             server.backend, Discoveries(server.backend), version("uoarm-mcp"), client
         )
-        with _wire() as (incoming, outgoing):
-            written = _OutputLines(outgoing)
-            lines = _InputLines(incoming, _budget(server.backend.limits), written)
-            for number in (signal.SIGTERM, signal.SIGINT):
-                # As if the client had closed its end: what is under way ends in the same way.
-                loop.add_signal_handler(number, lines.end)
-            client.on_end(lines.end)
-            files = cast("AsyncFile[str]", lines), cast("AsyncFile[str]", written)
-            protocol = service.protocol
-            async with stdio_server(*files) as (messages, answers):
-                await protocol.run(messages, answers, protocol.create_initialization_options())
-            written.drain()
+        written = _OutputLines(outgoing)
+        lines = _InputLines(incoming, _budget(server.backend.limits), written)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            # As if the client had closed its end: what is under way ends in the same way.
+            loop.add_signal_handler(number, lines.end)
+        client.on_end(lines.end)
+        files = cast("AsyncFile[str]", lines), cast("AsyncFile[str]", written)
+        protocol = service.protocol
+        async with stdio_server(*files) as (messages, answers):
+            await protocol.run(messages, answers, protocol.create_initialization_options())
+        written.drain()
     finally:
         if service is not None:
             service.close()
@@ -76,11 +83,12 @@ async def serve_stdio(
 
 
 @contextmanager
-def _wire() -> Iterator[tuple[int, int]]:
+def own_wire() -> Iterator[tuple[int, int]]:
     """Give descriptors of standard input and output that nothing else in the process has.
 
     Meanwhile what is printed goes to standard error, and what reads standard input reads nothing.
-    They stay open: a thread may wait on one of them for as long as the process lasts.
+    Components may do so from their import to their close. The descriptors stay open: a thread may
+    wait on one of them for as long as the process lasts.
     """
     incoming, outgoing = (fcntl.fcntl(number, fcntl.F_DUPFD_CLOEXEC, 3) for number in (0, 1))
     nothing = os.open(os.devnull, os.O_RDONLY)
@@ -90,6 +98,10 @@ def _wire() -> Iterator[tuple[int, int]]:
     try:
         yield incoming, outgoing
     finally:
+        with suppress(OSError, ValueError):
+            sys.stdout.flush()
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).fflush(None)  # what C code has printed, and not written yet
         os.dup2(incoming, 0)
         os.dup2(outgoing, 1)
 
