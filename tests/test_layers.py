@@ -166,38 +166,41 @@ def _imports(path: Path) -> set[str]:
 MODULES = sorted(ROOT.rglob("*.py"))
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_a_module_imports_downwards_only(path: Path) -> None:
-    layer = _layer(path)
-    upward = {name for name in _imports(path) if RANK[name] > RANK[layer]}
-    assert not upward, f"{layer} imports {upward}, which stand above it"
+def test_a_module_imports_downwards_only() -> None:
+    upward = {
+        str(path.relative_to(ROOT)): above
+        for path in MODULES
+        if (above := {name for name in _imports(path) if RANK[name] > RANK[_layer(path)]})
+    }
+    assert not upward, "these import what stands above them"
 
 
-@pytest.mark.parametrize(
-    "path",
-    [path for path in MODULES if _layer(path) in ALONE],
-    ids=lambda path: str(path.relative_to(ROOT)),
-)
-def test_what_stands_alone_imports_nothing_else(path: Path) -> None:
-    assert _imports(path) <= ALONE[_layer(path)]
+def test_what_stands_alone_imports_nothing_else() -> None:
+    alone = [path for path in MODULES if _layer(path) in ALONE]
+    assert {_layer(path) for path in alone} == ALONE.keys()
+    more = {str(path.relative_to(ROOT)): _imports(path) - ALONE[_layer(path)] for path in alone}
+    assert not {path: names for path, names in more.items() if names}
 
 
-@pytest.mark.parametrize(
-    "path",
-    [path for path in MODULES if _layer(path) in WITHIN],
-    ids=lambda path: str(path.relative_to(ROOT)),
-)
-def test_a_package_is_built_in_layers_too(path: Path) -> None:
-    whole, first = path.relative_to(ROOT).parts[:2]
+@pytest.mark.parametrize("whole", WITHIN)
+def test_a_package_is_built_in_layers_too(whole: str) -> None:
+    modules = [path for path in MODULES if _layer(path) == whole]
+    assert modules
+    for path in modules:
+        _hold_layers_within(whole, path)
+
+
+def _hold_layers_within(whole: str, path: Path) -> None:
+    first = path.relative_to(ROOT).parts[1]
     layers = {name: rank for rank, names in enumerate(WITHIN[whole]) for name in names}
     layer = first.removesuffix(".py")
     for node in _import_nodes(path):
         module = node.module if isinstance(node, ast.ImportFrom) else None
         if module is not None and module.startswith(f"uoarm.{whole}"):
             _, _, name, *inner = [*module.split("."), "__init__"][: max(3, module.count(".") + 1)]
-            assert layers[name] <= layers[layer], f"{layer} imports {name}, which stands above it"
+            assert layers[name] <= layers[layer], f"{path} imports {name}, which stands above it"
             if whole not in BY_MODULE:
-                assert name == layer or not inner, f"{layer} imports {module}, which is in another"
+                assert name == layer or not inner, f"{path} imports {module}, which is in another"
 
 
 @pytest.mark.parametrize("package", PARTS)
@@ -306,11 +309,15 @@ def _private(source: str) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize(
-    "path", sorted(PLUGINS.glob("*/src/**/*.py")), ids=lambda path: str(path.relative_to(PLUGINS))
-)
-def test_a_plugin_imports_what_is_public_only(path: Path) -> None:
-    assert not _private(path.read_text(encoding="utf-8"))
+def test_a_plugin_imports_what_is_public_only() -> None:
+    modules = sorted(PLUGINS.glob("*/src/**/*.py"))
+    assert modules
+    found = {
+        str(path.relative_to(PLUGINS)): names
+        for path in modules
+        if (names := _private(path.read_text(encoding="utf-8")))
+    }
+    assert not found
 
 
 @pytest.mark.parametrize(

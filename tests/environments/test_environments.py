@@ -160,35 +160,18 @@ def test_an_interpreter_that_prints_something_else_is_a_finding(
     assert "prints what it was not asked" in environments.examine(made).problem
 
 
-def test_without_uv_venv_and_pip_make_it(tmp_path: Path, home: Path) -> None:
-    wheel = tmp_path / "nothing_much-1.0-py3-none-any.whl"
-    with zipfile.ZipFile(wheel, "w") as made:
-        made.writestr("nothing_much.py", "found = True\n")
-        info = "nothing_much-1.0.dist-info"
-        made.writestr(
-            f"{info}/METADATA", "Metadata-Version: 2.1\nName: nothing-much\nVersion: 1.0\n"
-        )
-        tag = "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
-        made.writestr(f"{info}/WHEEL", tag)
-        made.writestr(f"{info}/RECORD", "")
-    python = environments.create("plain", ("--no-index", str(wheel)), uv="")
-    found = list((home / "plain").rglob("nothing_much.py"))
-    assert python.exists()
-    assert len(found) == 1
-
-
-def _plugin_wheel(folder: Path) -> Path:
+def _plugin_wheel(folder: Path, plugin: str) -> Path:
     """Write the wheel of a bridge plugin, with a module, data and a command."""
-    name = "uoarm_little"
+    name = f"uoarm_{plugin}"
     info = f"{name}-1.0.dist-info"
     tag = "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
     files = {
-        f"{name}/__init__.py": "def main() -> None: print('little')\n",
+        f"{name}/__init__.py": f"def main() -> None: print('{plugin}')\n",
         f"{name}/data.txt": "data\n",
-        f"{info}/METADATA": "Metadata-Version: 2.1\nName: uoarm-little\nVersion: 1.0\n",
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: uoarm-{plugin}\nVersion: 1.0\n",
         f"{info}/WHEEL": tag,
         f"{info}/entry_points.txt": (
-            f"[uoarm.bridges]\nlittle = {name}\n[console_scripts]\nlittle = {name}:main\n"
+            f"[uoarm.bridges]\n{plugin} = {name}\n[console_scripts]\n{plugin} = {name}:main\n"
         ),
     }
     wheel = folder / f"{name}-1.0-py3-none-any.whl"
@@ -204,7 +187,8 @@ def _plugin_wheel(folder: Path) -> Path:
 def test_what_runs_here_is_handed_on_although_its_wheel_is_gone_and_no_index_has_it(
     tmp_path: Path, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wheel = _plugin_wheel(tmp_path)
+    """Without uv, by venv and pip, beside a wheel that is there."""
+    wheel, other = _plugin_wheel(tmp_path, "little"), str(_plugin_wheel(tmp_path, "other"))
     site = tmp_path / "site"
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--target"]
     subprocess.run([*command, str(site), str(wheel)], check=True, timeout=patience())
@@ -213,12 +197,13 @@ def test_what_runs_here_is_handed_on_although_its_wheel_is_gone_and_no_index_has
     (site / "uoarm_little" / "data.txt").write_text("changed here\n")
     wanted = environments.requirements("little", None)[1:]
     assert wanted == ("uoarm-little==1.0",)
-    environments.create("little", ("--no-index", *wanted), uv="")
-    assert environments.listed()[0].requirements == ("--no-index", "uoarm-little==1.0")
-    [data] = (home / "little").rglob("data.txt")
-    assert data.read_text() == "changed here\n"
+    python = environments.create("lab", ("--no-index", other, *wanted), uv="")
+    assert environments.listed()[0].requirements == ("--no-index", other, "uoarm-little==1.0")
+    assert python.exists()
+    data = {path.parent.name: path.read_text() for path in (home / "lab").rglob("data.txt")}
+    assert data == {"uoarm_little": "changed here\n", "uoarm_other": "data\n"}
     report = subprocess.run(
-        [home / "little/bin/little"], capture_output=True, check=True, text=True, timeout=patience()
+        [home / "lab/bin/little"], capture_output=True, check=True, text=True, timeout=patience()
     )
     assert report.stdout == "little\n"
 

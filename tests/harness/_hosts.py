@@ -15,6 +15,9 @@ from uoarm.testing.conformance import World
 
 __all__ = ["lent", "shared_host"]
 
+# Of the kit, those that break the world, and the one that looks for what a bridge still holds.
+_OF_THEIR_OWN = ("Breaking.", "EndingRules.test_what_is_closed_keeps_nothing_of_who_used_it")
+
 
 @contextmanager
 def shared_host(spec: BridgeSpec) -> Iterator[Bridge]:
@@ -28,11 +31,8 @@ def shared_host(spec: BridgeSpec) -> Iterator[Bridge]:
 
 @contextmanager
 def lent(shared: Bridge, world: World, request: pytest.FixtureRequest) -> Iterator[Bridge]:
-    """Give a test of the kit the shared host, in which it leaves nothing open.
-
-    Tests that break the world, those of one class, get a host of their own.
-    """
-    if request.function.__qualname__.startswith("Breaking."):
+    """Give a test of the kit the shared host, where it leaves nothing open, or one of its own."""
+    if request.function.__qualname__.startswith(_OF_THEIR_OWN):
         own = world.bridge()
         yield own
         own.close()

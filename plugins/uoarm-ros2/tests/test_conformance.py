@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterator
 import pytest
 from conformance_world import KINDS, SILENT_SECONDS, RosWorld
 from peers import DOMAIN, Peer
+from tests.harness._hosts import lent, shared_host  # type: ignore[import-not-found]
 
+from uoarm.bridge import Bridge
 from uoarm.testing.conformance import BridgeConformance, World
 
 
@@ -39,9 +41,22 @@ class TestRos2Bridge(BridgeConformance):
 HOSTS = importlib.util.find_spec("zenoh") is not None
 
 
+@pytest.fixture(scope="module")
+def shared(lasting: Peer) -> Iterator[Bridge]:
+    with shared_host(RosWorld(lasting, Peer).spec()) as made:
+        yield made
+
+
 @pytest.mark.skipif(not HOSTS, reason="needs uoarm[hosts]")
 class TestHostedRos2Bridge(TestRos2Bridge):
     """The suite through a bridge host, whose link has its own tests: two kinds are enough."""
 
     hosted = True
     kinds = ("scalars", "echoed")
+
+    @pytest.fixture
+    def bridge(
+        self, shared: Bridge, world: World, request: pytest.FixtureRequest
+    ) -> Iterator[Bridge]:
+        with lent(shared, world, request) as made:
+            yield made
