@@ -11,6 +11,7 @@ from uoarm._control.engine.move import MovePhase
 from uoarm._control.engine.placement import Kind
 from uoarm._control.engine.state import State
 from uoarm._control.engine.step import desired, difference, step
+from uoarm.errors import ConnectionClosedError
 from uoarm.model import ConnectionState, FailoverPolicy, PortRef, ValidationMode
 
 SEEKING, OPENING, SWITCHING = MovePhase.SEEKING, MovePhase.OPENING, MovePhase.SWITCHING
@@ -58,7 +59,21 @@ def test_what_another_opens_is_waited_for_and_asked_for_when_that_fails(world: W
     world.do("request c1", fails_at=0)
     first, *_ = difference(world.state, world.state.connections["c2"])
     assert set(first.batches).isdisjoint({batch}), "it has a batch of its own now"
-    assert "c1" not in {record.id for record in world.state.connections.values() if record.plans}
+    assert phases(world, "c1") == [SEEKING, OPENING, TAKING_OVER], "without what did not open"
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ConnectionClosedError("given up")])
+def test_who_is_interrupted_or_gives_up_as_its_plan_opens_gets_no_other_plan(
+    world: World, error: BaseException
+) -> None:
+    world.request("c1", "camera")
+    world.do("request c1")
+    (batch,) = world.state.batches
+    world.lanes.pop("request c1")
+    world.post(ev.Opened(batch, (), error))
+    world.settle()
+    assert world.state.connections.get("c1") is None
+    assert world.replies == ("request c1",)
 
 
 def test_a_death_seeks_opens_and_takes_over_and_what_drains_is_open_until_then(

@@ -223,12 +223,8 @@ def test_a_bridge_that_dies_while_a_plan_opens_is_why_the_request_fails_without_
 ) -> None:
     """It fails at once, whatever `wait` says: who asked can ask again."""
     stage = make(FailoverPolicy(wait=patience()))
-
-    def fail(endpoint: Endpoint, *_: Any) -> Channel:
-        raise BridgeError(f"{endpoint.address[0]} is busy")
-
     with requested(stage, monkeypatch) as (request, hang):
-        monkeypatch.setattr(stage.two, "_open_source", fail)
+        monkeypatch.setattr(stage.two, "_open_source", busy)
         stage.one.report(Health.LOST, "it was unplugged")
         hang.release()
         error = request.exception(patience())
@@ -247,6 +243,55 @@ def test_what_dies_while_its_plan_opens_ends_the_request_with_failover_off(
         error = request.exception(patience())
     assert isinstance(error, BridgeError)
     assert "ended while it was being opened: component 'best' was lost" in str(error)
+    wait(lambda: (stage.one.open_channels, stage.two.open_channels) == (0, 0))
+
+
+def busy(endpoint: Endpoint, *_: Any) -> Channel:
+    raise BridgeError(f"{endpoint.address[0]} is busy")
+
+
+def test_what_cannot_be_opened_is_done_without_and_the_request_gets_the_next(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage = make()
+    monkeypatch.setattr(stage.one, "_open_source", busy)
+    connection = stage.robot.request("face")
+    assert connection.plan.names == ("next", "finder")
+    stage.next.emit(2)
+    assert connection.get(patience()) == 2
+    (gap,) = connection.gaps
+    assert (gap.before, gap.after) == (("best", "finder"), ("next", "finder"))
+    assert "best is busy" in gap.cause
+    wait(stage.replaced)
+    changes = [event.change for event in stage.events if event.subject == "connection c1"]
+    assert changes == ["opening", "running", "replaced"]
+    # Asked anew each time: it may be free by now.
+    monkeypatch.undo()
+    connection.kill()
+    assert stage.robot.request("face").plan.names == ("best", "finder")
+
+
+def test_a_request_of_which_nothing_opens_fails_with_the_first_failure(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage = make(FailoverPolicy(wait=patience()))
+    for bridge in (stage.one, stage.two):
+        monkeypatch.setattr(bridge, "_open_source", busy)
+    with pytest.raises(BridgeError, match="best is busy"):
+        stage.robot.request("camera")
+    wait(lambda: (stage.one.open_channels, stage.two.open_channels) == (0, 0))
+    wait(lambda: any(event.change == "failed" for event in stage.events))
+    (cause,) = [event.cause for event in stage.events if event.change == "failed"]
+    assert "best is busy; nothing takes over" in cause
+
+
+def test_what_cannot_be_opened_fails_the_request_with_failover_off(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage = make(FailoverPolicy(enabled=False))
+    monkeypatch.setattr(stage.one, "_open_source", busy)
+    with pytest.raises(BridgeError, match="best is busy"):
+        stage.robot.request("camera")
     wait(lambda: (stage.one.open_channels, stage.two.open_channels) == (0, 0))
 
 

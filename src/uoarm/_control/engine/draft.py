@@ -345,6 +345,14 @@ class Draft(State):
             batch = batch._replace(waiting=batch.waiting.insert(record.id))
             self.batches = self.batches.insert(number, batch)
 
+    def component_of(self, placement: Placement, part: Part) -> str:
+        """Return the name of the component at which a part of a plan opens."""
+        if part.kind in PORTS:
+            return placement.plan.provider.component.name
+        # Of an edge it is the consumer, whose input is opened.
+        number = self.edges[part.id].consumer if part.kind is Kind.EDGE else part.id
+        return self.components[number].name
+
     def settle(self, batch: Batch, done: Collection[Part]) -> Parts:
         """Note what became of a batch that is over; return what was opened and has no user."""
         record = self.connections.get(connection_of(batch.user))

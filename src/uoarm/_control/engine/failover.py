@@ -14,6 +14,7 @@ from uoarm._control.engine.move import Move, MovePhase, MoveReason, forget_earli
 from uoarm._control.engine.placement import ComponentRecord, Placement
 from uoarm._control.engine.state import ConnectionRecord, Preference, listed, oldest_first
 from uoarm._support.ordered import OrderedMap
+from uoarm.errors import ConnectionClosedError
 from uoarm.model import ConnectionState, Health, Plan
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "look_soon",
     "replace",
     "replace_lost",
+    "replace_unopened",
     "seek",
     "seek_plan",
     "try_another",
@@ -350,6 +352,38 @@ def replace_lost(draft: Draft, record: ConnectionRecord, opening: Move) -> None:
         end(draft, record, ConnectionState.FAILED, opening.cause)
 
 
+def replace_unopened(
+    draft: Draft, record: ConnectionRecord, component: str, error: BaseException
+) -> None:
+    """Open another plan for a request, without the component that could not be opened."""
+    draft.do(act.Forget(record.placement.plan.names))
+    opening = record.move
+    assert opening is not None, "it was on its way to its first plan"
+    if opening.lost:  # which is why, whatever the opening says of it
+        replace_lost(draft, record, opening)
+        return
+    if not (draft.policy.enabled and _is_of_component(error)):
+        end(draft, record, ConnectionState.FAILED, str(error), record.waiter, error=error)
+        return
+    number = record.placement.components[component]
+    failure = death(draft, str(error), (number,))._replace(excluded=frozenset({component}))
+    # One that runs for another connection goes on for it, and feeds what it feeds.
+    if any(draft.connections[user].current is not None for user in draft.using((number,))):
+        opening = failure._replace(lost=())
+    else:
+        replace(draft, failure)
+        record = draft.connections[record.id]
+        assert record.move is not None, "it moves on"
+        opening = record.move
+    replace_lost(draft, record, opening._replace(error=error))
+
+
+def _is_of_component(error: BaseException) -> bool:
+    """Say whether another component may do better, where one could not be opened."""
+    # Not where the caller was interrupted, as by Ctrl-C, nor where it has given up the request.
+    return isinstance(error, Exception) and not isinstance(error, ConnectionClosedError)
+
+
 def _lose_next(draft: Draft, record: ConnectionRecord, failure: Move) -> None:
     """Do without the plan that was to take over."""
     move = record.move
@@ -432,7 +466,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ev.ReplacementSought) -
     # request that waits for its reply learns at once what it cannot have.
     if draft.now >= until or record.waiter:
         text = f"{move.cause}; nothing takes over: {event.error}"
-        end(draft, record, ConnectionState.FAILED, text)
+        end(draft, record, ConnectionState.FAILED, text, error=move.error)
         return
     # Looking takes processor time and asks frameworks: who waits for long looks more seldom.
     pause = max(_AGAIN_SECONDS, min((draft.now - move.since) / _SHARE, _SELDOM_SECONDS))

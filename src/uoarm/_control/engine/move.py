@@ -59,7 +59,6 @@ class MovePhase(Enum):
 class OnOpenFailure(Enum):
     """What happens where the plan of a move cannot be opened."""
 
-    ENDS = "the connection ends with the error"
     SEEKS = "another plan is sought"
     STAYS = "all who move together stay where they are"
     CLOSES = "nothing is opened; what is open closes whatever goes wrong"
@@ -123,7 +122,7 @@ RULES: Mapping[MoveReason, MoveRule] = {
         called="its request",
         cause="",
         announced="running",
-        failing=OnOpenFailure.ENDS,
+        failing=OnOpenFailure.SEEKS,
     ),
     MoveReason.DEATH: MoveRule(
         called="its takeover",

@@ -21,7 +21,7 @@ from uoarm._control.engine import failover, offers, switchover
 from uoarm._control.engine.draft import Draft, InputInUseError, by_age, connection_of
 from uoarm._control.engine.failover import end, finish_if_asked
 from uoarm._control.engine.move import RULES, Move, MovePhase, MoveReason, OnOpenFailure
-from uoarm._control.engine.placement import Kind, Part, Placement
+from uoarm._control.engine.placement import Batch, Kind, Part, Placement
 from uoarm._control.engine.state import ConnectionRecord, State, oldest_first
 from uoarm.errors import (
     BridgeError,
@@ -271,29 +271,26 @@ def _opened(draft: Draft, event: ev.Opened) -> None:
         draft.do(act.Close(f"late {event.batch}", connection, late))
     record = draft.connections.get(connection)
     if event.error is not None and record is not None:
-        _failed_to_open(draft, record, batch.user, event.error)
+        _failed_to_open(draft, record, batch, event)
     # Its own, and those that shared some of it: what has failed they have opened in a batch of
     # their own, and fail by themselves where it fails again.
     draft.concerned += by_age((connection, *batch.waiting)) if batch.waiting else (connection,)
 
 
-def _failed_to_open(
-    draft: Draft, record: ConnectionRecord, user: str, error: BaseException
-) -> None:
+def _failed_to_open(draft: Draft, record: ConnectionRecord, batch: Batch, event: ev.Opened) -> None:
     """Do without the plan that could not be opened, unless the connection has left it already."""
-    move, users = record.move, {placement.user for placement in record.plans}
+    move, error = record.move, event.error
+    assert error is not None, "something could not be opened"
     # By the user of the parts: a batch of an attempt that was given up says nothing of the next.
-    if move is None or user not in users:
+    if move is None or batch.user not in {placement.user for placement in record.plans}:
         return
     match move.rule.failing:
-        case OnOpenFailure.ENDS:
-            draft.do(act.Forget(record.placement.plan.names))
-            if move.lost:  # which is why, whatever the opening says of it
-                failover.replace_lost(draft, record, move)
-            else:
-                end(draft, record, ConnectionState.FAILED, str(error), record.waiter, error=error)
         case OnOpenFailure.STAYS:
             switchover.abandon(draft, draft.switchovers[move.group], str(error))
+        case OnOpenFailure.SEEKS if record.current is None:
+            part = next((part for part in batch.parts if part not in event.done), batch.parts[-1])
+            component = draft.component_of(record.placement, part)
+            failover.replace_unopened(draft, record, component, error)
         case OnOpenFailure.SEEKS:
             # Without a next plan the batch was the first one's, which runs: nothing is given up.
             if move.next is not None:
