@@ -14,7 +14,7 @@ from hypothesis import settings
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # for the modules that the tests share
 
-from peers import DOMAIN, Peer
+from peers import DOMAIN, WAIT_SECONDS, Peer
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec
@@ -43,7 +43,9 @@ def make_bridge() -> Iterator[Callable[..., Bridge]]:
     registry = Registry()
 
     def make(name: str = "ros", **options: object) -> Bridge:
-        bridge = registry.create(BridgeSpec(name, "ros2", {"domain_id": DOMAIN, **options}))
+        bridge = registry.create(
+            BridgeSpec(name, "ros2", {"domain_id": DOMAIN, "wait": WAIT_SECONDS, **options})
+        )
         made.append(bridge)
         return bridge
 

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
-from uoarm.testing import patience
+from uoarm.testing import patience, slowness
 
 HERE = Path(__file__).parent
 
@@ -38,6 +38,10 @@ def _reserved_domain() -> int:
 
 
 DOMAIN = _reserved_domain()
+WAIT_SECONDS = 3.5 * slowness()
+"""As long as a bridge waits by default for what is to be there, on an idle machine."""
+OPTIONS = f"domain_id: {DOMAIN}, wait: {WAIT_SECONDS}"
+"""Those of a bridge of ROS 2 in a configuration."""
 
 
 MORTAL = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(HERE / "mortal.xml")}

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from messages import MESSAGE_TYPES, messages_of, same
-from peers import DOMAIN, Peer
+from peers import OPTIONS, Peer
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 from uoarm_ros2._conversion import reader, writer
@@ -31,7 +31,7 @@ SIZE = 921_600
 CONFIGURATION = f"""
 version: 1
 bridges:
-  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
 functions:
   pictures:
     components:

@@ -11,7 +11,7 @@ import pytest
 from attrs import evolve
 from endpoints import INT64, Inbox, endpoint
 from messages import default_of
-from peers import DOMAIN, MORTAL, Peer
+from peers import MORTAL, OPTIONS, Peer
 from uoarm_ros2._managed_nodes import ManagedNode, NodeAccess, NodeRequirement, Transition
 from uoarm_ros2._types import import_type
 
@@ -66,7 +66,7 @@ def test_parameters_are_read_and_set_while_a_node_runs_with_the_rights_of_what_m
     peer("beside", "threads").do("manage", name="camera", topic="/numbers")
     text = f"""
 version: 1
-bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}}}
+bridges: {{ros: {{plugin: ros2, options: {{{OPTIONS}}}}}}}
 functions:
   get:
     components:
@@ -265,7 +265,7 @@ def test_a_request_brings_the_node_up_and_a_dead_one_is_replaced(peer: Start) ->
     second.do("manage", name="second", topic="/second")
     text = f"""
 version: 1
-bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}}}
+bridges: {{ros: {{plugin: ros2, options: {{{OPTIONS}}}}}}}
 functions:
   numbers:
     components:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from endpoints import reaches
-from peers import DOMAIN, MORTAL, Peer
+from peers import MORTAL, OPTIONS, Peer
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -26,7 +26,7 @@ def robot(functions: str, more: str = "", host: str = "") -> RobotManager:
 version: 1
 {more}
 bridges:
-  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}{host}}}
+  ros: {{plugin: ros2, options: {{{OPTIONS}}}{host}}}
 functions:
 {functions}
 """
@@ -191,7 +191,7 @@ def tags(folder: Path, component: str = "") -> RobotManager:
     text = f"""
 version: 1
 bridges:
-  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}, definitions: ["{folder}"]}}}}
+  ros: {{plugin: ros2, options: {{{OPTIONS}, definitions: ["{folder}"]}}}}
   python: {{plugin: python}}
 functions:
 {functions}

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from endpoints import endpoint
-from peers import DOMAIN
+from peers import OPTIONS
 from uoarm_ros2._installed import structure_of_type
 from websockets.sync.client import connect
 
@@ -25,7 +25,7 @@ from uoarm.testing import patience
 ROBOT = f"""
 version: 1
 bridges:
-  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
 functions: {{}}
 """
 

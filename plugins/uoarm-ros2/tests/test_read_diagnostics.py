@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from endpoints import INT64, Inbox, endpoint, reaches, source
-from peers import DOMAIN, Peer
+from peers import OPTIONS, Peer
 from rclpy.serialization import serialize_message
 from uoarm_ros2 import _diagnostics
 from uoarm_ros2._diagnostics import Allowance, Entry, EntryHealth, read_array
@@ -299,7 +299,7 @@ def test_a_package_that_is_not_installed_is_named(
     assert error.value.reason is FailureReason.NOT_FOUND
 
 
-OPTIONS = f"{{domain_id: {DOMAIN}, diagnostics_timeout: {patience()}}}"
+PATIENT = f"{OPTIONS}, diagnostics_timeout: {patience()}"
 HOSTS = ["", f", host: {{silence: {patience()}, start: {patience()}}}"]
 
 
@@ -312,7 +312,7 @@ def test_an_error_leads_to_a_takeover_and_its_end_to_the_return(peer: Start, hos
     text = f"""
 version: 1
 failover: {{return_after: 0.2}}
-bridges: {{ros: {{plugin: ros2, options: {OPTIONS}{host}}}}}
+bridges: {{ros: {{plugin: ros2, options: {{{PATIENT}}}{host}}}}}
 functions:
   numbers:
     components:
@@ -346,7 +346,7 @@ def test_a_connection_without_another_candidate_waits_until_the_error_is_over(pe
     text = f"""
 version: 1
 failover: {{wait: {min(3600.0, 10 * patience())}}}
-bridges: {{ros: {{plugin: ros2, options: {OPTIONS}}}}}
+bridges: {{ros: {{plugin: ros2, options: {{{PATIENT}}}}}}}
 functions:
   numbers:
     components:

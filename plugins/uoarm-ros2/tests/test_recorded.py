@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from endpoints import INT64
 from mcap.reader import make_reader
-from peers import DOMAIN, Peer
+from peers import OPTIONS, Peer
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Int64
 
@@ -21,7 +21,7 @@ from uoarm.testing import patience, wait
 
 ROBOT = f"""
 version: 1
-bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}}}
+bridges: {{ros: {{plugin: ros2, options: {{{OPTIONS}}}}}}}
 functions:
   numbers:
     components:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
-from peers import DOMAIN, Peer
+from peers import OPTIONS, Peer
 
 from uoarm import Connection, RobotManager
 from uoarm.bridge import Bridge
@@ -20,7 +20,7 @@ Start = Callable[..., Peer]
 STOP, GO = 0, 1
 ROBOT = """
 version: 1
-bridges: {ros: {plugin: ros2, options: {domain_id: DOMAIN}HOST}}
+bridges: {ros: {plugin: ros2, options: {OPTIONS}HOST}}
 functions:
   drive:
     components:
@@ -39,7 +39,7 @@ functions:
 
 def text(left: int, host: str = "") -> str:
     """Return a robot whose left one has this priority."""
-    text = ROBOT.replace("DOMAIN", str(DOMAIN)).replace("HOST", host)
+    text = ROBOT.replace("OPTIONS", OPTIONS).replace("HOST", host)
     return text.replace("LEFT", str(left))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from peers import DOMAIN
+from peers import OPTIONS
 from websockets.sync.client import connect
 
 from uoarm import RobotManager
@@ -22,7 +22,7 @@ ACTION = "/fibonacci, test_msgs/action/Fibonacci"
 ROBOT = f"""
 version: 1
 bridges:
-  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
 functions:
   drive:
     components:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from peers import DOMAIN, Peer
+from peers import OPTIONS, Peer
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -19,7 +19,7 @@ ADDRESS = "/fibonacci, test_msgs/action/Fibonacci"
 CONFIGURATION = f"""
 version: 1
 bridges:
-  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
 functions:
   fibonacci:
     components:
@@ -71,7 +71,7 @@ ros.close()
 FIELDS = f"""
 version: 1
 bridges:
-  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
 functions:
   picture:
     components:

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from endpoints import INT64, Inbox, endpoint, known, sink, source
 from messages import default_of
-from peers import DOMAIN, MORTAL, Peer
+from peers import DOMAIN, MORTAL, OPTIONS, Peer
 from uoarm_ros2._actions import Action
 from uoarm_ros2._discovery import Ros2Graph
 from uoarm_ros2._middleware import GoalRequest, Participant
@@ -263,7 +263,7 @@ def reaching(*, is_hosted: bool) -> str:
     host = f", host: {{silence: {patience()}, start: {patience()}}}" if is_hosted else ""
     return f"""
 version: 1
-bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}{host}}}}}
+bridges: {{ros: {{plugin: ros2, options: {{{OPTIONS}}}{host}}}}}
 functions:
   reach: {{components: [{{name: arm, bridge: ros, service: {{{options}}}}}]}}
 """
