@@ -56,3 +56,37 @@ def test_what_an_application_has_frozen_stays_so() -> None:
     with _short_collections():
         pass
     assert gc.get_freeze_count() >= frozen
+
+
+INTERRUPTED = """
+import ctypes, gc, weakref
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.server import ServerOptions, run
+
+class InterruptingReference(weakref.ref):
+    _as_parameter_ = 2
+
+class Node:
+    pass
+
+gc.disable()
+node = Node()
+node.node = node
+reference = InterruptingReference(node, ctypes.CDLL(None)["raise"])
+del node
+with RobotManager(loads("version: 1\\nbridges: {}\\nfunctions: {}")) as robot:
+    run(robot, ServerOptions(port=0))
+"""
+
+
+def test_ctrl_c_while_everything_is_looked_at_ends_the_server() -> None:
+    """The signal comes within the collector, whose callback is the next thing that Python calls."""
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience(),
+    )
+    assert (done.returncode, done.stderr) == (0, "")

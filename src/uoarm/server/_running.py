@@ -139,7 +139,7 @@ def run(
         OSError: a port is taken.
     """
     keep_memory()
-    with short_switch_interval(), _short_collections():
+    with short_switch_interval():
         server = Server(robot, settings, front_ends)
         _run_loop(_new_loop(), _until_signal(server, ready))
 
@@ -246,20 +246,22 @@ async def _until_signal(server: Server, ready: Callable[[Server], None] | None) 
     for signals in _SIGNALS:
         loop.add_signal_handler(signals, stop.set)
     default_in_children(_SIGNALS)
-    await server.start()
-    living = asyncio.ensure_future(_give_signs_of_life(service_manager))
-    try:
-        if ready is not None:
-            ready(server)
-        service_manager.ready(f"listening on port {', '.join(map(str, server.ports))}")
-        await stop.wait()
-    finally:
-        service_manager.stopping()
-        await server.stop()
-        living.cancel()
-        # Closing the loop closes where signals are written to it before it stops reading them:
-        # another one in between would be shown as an exception.
-        signal.set_wakeup_fd(-1)
+    # Where the loop takes signals: Python drops what one raises in a callback of the collector.
+    with _short_collections():
+        await server.start()
+        living = asyncio.ensure_future(_give_signs_of_life(service_manager))
+        try:
+            if ready is not None:
+                ready(server)
+            service_manager.ready(f"listening on port {', '.join(map(str, server.ports))}")
+            await stop.wait()
+        finally:
+            service_manager.stopping()
+            await server.stop()
+            living.cancel()
+            # Closing the loop closes where signals are written to it before it stops reading them:
+            # another one in between would be shown as an exception.
+            signal.set_wakeup_fd(-1)
 
 
 async def _give_signs_of_life(service_manager: ServiceManager) -> None:
