@@ -71,6 +71,8 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
+# One cache: what a plugin uses of uoarm and of libraries is not analysed again for each.
+types: export MYPY_CACHE_DIR = $(abspath .mypy_cache)
 types: $(VENV)/.dev
 	$(BIN)/mypy
 	@for plugin in $(PLUGINS); do \

@@ -54,7 +54,7 @@ def reaches(peer: Peer, topic: str, connection: Connection) -> bool:
     """
     peer.do("publish", topic=topic, count=1)
     try:
-        return connection.get(0) == {"data": 1}
+        return bool(connection.get(0) == {"data": 1})
     except TimeoutError:
         return False
 
