@@ -60,7 +60,8 @@ def main(arguments: list[str] | None = None) -> int:
             str(error), exit_code=_REFUSED, error_code=error.error_code
         ) from error
     except OSError as error:
-        raise CommandLineError(str(error), exit_code=_USED, error_code="UOA-709") from error
+        text = error.strerror or str(error)
+        raise CommandLineError(text, exit_code=_USED, error_code="UOA-709") from error
     return 0
 
 
