@@ -232,6 +232,8 @@ class FeedRegistry:
 
     def leave(self, feed: Feed, cause: str = "") -> None:
         """Give a feed back; the last one closes it, without waiting, and with this cause."""
+        if feed not in self._claims:
+            return  # `close` has let go of it for all that waited
         self._claims[feed] -= 1
         if not self._claims[feed]:
             del self._claims[feed]
