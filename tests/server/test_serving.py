@@ -21,6 +21,7 @@ from unittest.mock import AsyncMock, create_autospec
 
 import pytest
 from attrs import evolve
+from click.testing import CliRunner, Result
 from tests.server.conftest import Connect, Serve
 from tests.server.lines import LINES
 from tests.server.robot import CONFIGURATION, script
@@ -30,7 +31,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from uoarm import RobotManager
-from uoarm.cli import _serve
+from uoarm.cli import _serve, main
 from uoarm.errors import ConfigurationError
 from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run, serve_in_thread
 from uoarm.testing import ResourceSnapshot, patience, wait
@@ -38,6 +39,7 @@ from uoarm.testing import ResourceSnapshot, patience, wait
 ROOT = Path(__file__).parents[2]
 PATIENT = Path(__file__).parent / "patient"
 Start = Callable[..., tuple[subprocess.Popen[str], int]]
+Refuse = Callable[..., Result]
 
 
 def page(server: Server, path: str, **headers: str) -> tuple[int, str]:
@@ -121,6 +123,19 @@ def start(tmp_path: Path) -> Iterator[Start]:
         process.communicate(timeout=patience())
 
 
+@pytest.fixture
+def refuse(tmp_path: Path) -> Refuse:
+    """Run `uoarm serve` in this process, where it ends at once."""
+    file = tmp_path / "robot.yaml"
+    file.write_text(CONFIGURATION, encoding="utf-8")
+
+    def begin(*arguments: str) -> Result:
+        state = {"XDG_STATE_HOME": str(tmp_path / "state")}
+        return CliRunner().invoke(main, ["serve", str(file), *arguments], env=state)
+
+    return begin
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_closes_clients_properly_and_quickly(start: Start, number: signal.Signals) -> None:
     process, port = start()
@@ -200,14 +215,14 @@ def test_of_every_address_those_are_reported_that_can_be_opened(
     assert "listening on" not in named
 
 
-def test_a_port_that_is_taken_is_reported_in_one_line(start: Start) -> None:
-    _, port = start()
-    second, _ = start("--port", str(port))
-    _, err = second.communicate(timeout=patience())
-    assert second.returncode == 5
-    assert f"cannot listen on 127.0.0.1:{port}" in err
-    assert "--port" in err
-    assert "Traceback" not in err
+def test_a_port_that_is_taken_is_reported_in_one_line(refuse: Refuse) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = refuse("--port", str(port))
+    assert done.exit_code == 5
+    assert f"cannot listen on 127.0.0.1:{port}" in done.stderr
+    assert "--port" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_tls_auto_shows_the_fingerprint(start: Start, tmp_path: Path) -> None:
@@ -218,11 +233,10 @@ def test_tls_auto_shows_the_fingerprint(start: Start, tmp_path: Path) -> None:
     assert text == f"certificate {path}, SHA-256 {fingerprint_of(path)}\n"
 
 
-def test_off_loopback_it_refuses_to_start_without_an_access_file(start: Start) -> None:
-    process, _ = start("--host", "0.0.0.0")
-    _, err = process.communicate(timeout=patience())
-    assert process.returncode == 3
-    assert "--access" in err
+def test_off_loopback_it_refuses_to_start_without_an_access_file(refuse: Refuse) -> None:
+    done = refuse("--host", "0.0.0.0", "--port", "0")
+    assert done.exit_code == 3
+    assert "--access" in done.stderr
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.2", "robot.example"])
