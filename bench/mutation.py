@@ -60,7 +60,7 @@ SUBJECTS = {
             "tests/schema/test_random_pairs.py",
             "tests/schema/test_engine_*.py",
         ),
-        "not sizes and not counterexample_is_one and not hostile",
+        "not sizes and not hostile",
     ),
     "control": Subject(
         "src/uoarm/_control/engine",
