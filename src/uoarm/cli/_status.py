@@ -6,6 +6,7 @@ import asyncio
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -215,7 +216,8 @@ def status(
         if fleet is None:
             command = install_command("uoarm-remote")
             raise PluginError(f"other managers need the plugin uoarm-remote: {command}")
-        context.invoke(fleet, arguments=(file, "--json") if as_json else (file,))
+        with redirect_stdout(output()):  # it is a plugin's, and writes where Python does
+            context.invoke(fleet, arguments=(file, "--json") if as_json else (file,))
         return
     if bridges:
         show_frameworks(file, as_json=as_json)
