@@ -358,12 +358,12 @@ class RemoteRobot(ServerQuestions):
                 stream.settle(counters["number"])
 
     def _open_again(self) -> None:
-        """Have a new session open what the one before had, and report what changes."""
+        """Have a new session report what changes, and open what the one before had."""
+        if self._watchers:
+            self._begin(self._try_to_ask("Status", "watch"))
         self._away = {stream for stream in self._away if not stream.ended}
         for stream in self._away:
             self._begin(self._renew(stream))
-        if self._watchers:
-            self._begin(self._try_to_ask("Status", "watch"))
 
     def _begin(self, work: Coroutine[Any, Any, None]) -> None:
         renewing = asyncio.ensure_future(work)

@@ -456,13 +456,13 @@ export class Robot {
     for (const { connection, number } of own) if (number !== null) this.#streams.get(connection)?.settle(number);
   }
 
-  /** Has a new session open what the one before had, and report what changes. */
+  /** Has a new session report what changes, and open what the one before had. */
   #openAgain() {
+    if (this.#watchers.size) this.#ask({ op: "Status", type: "watch" }).catch(() => {});
     for (const stream of this.#away) {
       if (stream.state === "open") this.#renew(stream);
       else this.#away.delete(stream);
     }
-    if (this.#watchers.size) this.#ask({ op: "Status", type: "watch" }).catch(() => {});
   }
 
   async #renew(stream) {
