@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import subprocess
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from tests.server.talk import SECONDS, eventually
 
 from uoarm import ConnectionClosedError, RobotManager
 from uoarm.client import RemoteRobot, connect
+from uoarm.model import StatusEvent
 from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
 from uoarm.testing import slowness
 
@@ -155,10 +156,15 @@ def test_changes_go_on(restarting: Restarting) -> None:
         assert (await first).change
         await restart(restarting)
         await until(lambda: stream.gaps == 1)
-        await client.status()
-        async for change in changes:
-            if change.change == "running":
-                break
+        running = asyncio.ensure_future(until_running(changes))
+        # What ran before the new session watches is in no event.
+        while not running.done():
+            await (await client.request("echo")).kill()
+        await running
+
+    async def until_running(changes: AsyncIterator[StatusEvent]) -> None:
+        while (await anext(changes)).change != "running":
+            pass
 
     run(restarting, work)
 
