@@ -13,7 +13,7 @@ from uoarm.model import BridgeSpec
 from uoarm.testing import patience
 from uoarm.testing.conformance import World
 
-__all__ = ["lent", "shared_host"]
+__all__ = ["SharesHost", "shared_host"]
 
 # Of the kit, those that break the world, and the one that looks for what a bridge still holds.
 _OF_THEIR_OWN = ("Breaking.", "EndingRules.test_what_is_closed_keeps_nothing_of_who_used_it")
@@ -29,13 +29,20 @@ def shared_host(spec: BridgeSpec) -> Iterator[Bridge]:
     made.close()
 
 
-@contextmanager
-def lent(shared: Bridge, world: World, request: pytest.FixtureRequest) -> Iterator[Bridge]:
-    """Give a test of the kit the shared host, where it leaves nothing open, or one of its own."""
-    if request.function.__qualname__.startswith(_OF_THEIR_OWN):
-        own = world.bridge()
-        yield own
-        own.close()
-    else:
-        yield shared
-        assert shared.open_channels == 0
+class SharesHost:
+    """The suite of a bridge in a host, of which the fixture `shared` gives one for all tests."""
+
+    hosted = True
+
+    @pytest.fixture
+    def bridge(
+        self, shared: Bridge, world: World, request: pytest.FixtureRequest
+    ) -> Iterator[Bridge]:
+        """Give a test the shared host, where it leaves nothing open, or one of its own."""
+        if request.function.__qualname__.startswith(_OF_THEIR_OWN):
+            own = world.bridge()
+            yield own
+            own.close()
+        else:
+            yield shared
+            assert shared.open_channels == 0

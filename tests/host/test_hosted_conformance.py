@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from attrs import evolve
-from tests.harness._hosts import lent, shared_host
+from tests.harness._hosts import SharesHost, shared_host
 from tests.local.test_python_conformance import samples
 
 from uoarm.bridge import Bridge
@@ -67,19 +67,11 @@ def shared(unhurried: None, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 
 
 @pytest.mark.usefixtures("unhurried")
-class TestHostedPythonBridge(BridgeConformance):
+class TestHostedPythonBridge(SharesHost, BridgeConformance):
     """The whole suite."""
 
-    hosted = True
     kinds = ("Numbers", "Texts", "Pixels", "Everything")
 
     @pytest.fixture
     def world(self, tmp_path: Path) -> World:
         return HostedWorld(tmp_path)
-
-    @pytest.fixture
-    def bridge(
-        self, shared: Bridge, world: World, request: pytest.FixtureRequest
-    ) -> Iterator[Bridge]:
-        with lent(shared, world, request) as made:
-            yield made

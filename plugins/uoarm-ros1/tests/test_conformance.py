@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from peers import Master, Peer, running
 from ros1_world import KINDS, Ros1World
-from tests.harness._hosts import lent, shared_host  # type: ignore[import-not-found]
+from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge
 from uoarm.testing.conformance import BridgeConformance, World
@@ -38,15 +38,7 @@ def shared(master: Master, lasting: Peer) -> Iterator[Bridge]:
         yield made
 
 
-class TestInAHost(TestRos1Bridge):
+class TestInAHost(SharesHost, TestRos1Bridge):  # type: ignore[misc]
     """The whole suite with the bridge in a process of its own."""
 
-    hosted = True
     kinds = ("arrays", "scalars")
-
-    @pytest.fixture
-    def bridge(
-        self, shared: Bridge, world: World, request: pytest.FixtureRequest
-    ) -> Iterator[Bridge]:
-        with lent(shared, world, request) as made:
-            yield made

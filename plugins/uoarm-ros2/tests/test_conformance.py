@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from conformance_world import KINDS, SILENT_SECONDS, RosWorld
 from peers import DOMAIN, Peer
-from tests.harness._hosts import lent, shared_host  # type: ignore[import-not-found]
+from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge
 from uoarm.testing.conformance import BridgeConformance, World
@@ -48,15 +48,7 @@ def shared(lasting: Peer) -> Iterator[Bridge]:
 
 
 @pytest.mark.skipif(not HOSTS, reason="needs uoarm[hosts]")
-class TestHostedRos2Bridge(TestRos2Bridge):
+class TestHostedRos2Bridge(SharesHost, TestRos2Bridge):  # type: ignore[misc]
     """The suite through a bridge host, whose link has its own tests: two kinds are enough."""
 
-    hosted = True
     kinds = ("scalars", "echoed")
-
-    @pytest.fixture
-    def bridge(
-        self, shared: Bridge, world: World, request: pytest.FixtureRequest
-    ) -> Iterator[Bridge]:
-        with lent(shared, world, request) as made:
-            yield made

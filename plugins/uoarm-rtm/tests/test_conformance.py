@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from conformance_world import KINDS, TYPES_IDL, RtmWorld, begin_loop
 from peers import Peer
-from tests.harness._hosts import lent, shared_host  # type: ignore[import-not-found]
+from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge
 from uoarm.testing.conformance import BridgeConformance, World
@@ -33,22 +33,14 @@ def shared(loop: Peer, nameserver: str) -> Iterator[Bridge]:
 
 
 @pytest.mark.skipif(not HOSTS, reason="needs uoarm[hosts]")
-class TestHostedRtmBridge(BridgeConformance):
+class TestHostedRtmBridge(SharesHost, BridgeConformance):  # type: ignore[misc]
     """The suite through a bridge host, whose link has its own tests: two kinds are enough."""
 
     kinds = ("ranges", "text")
-    hosted = True
 
     @pytest.fixture
     def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:
         return RtmWorld(nameserver, loop, peer)
-
-    @pytest.fixture
-    def bridge(
-        self, shared: Bridge, world: World, request: pytest.FixtureRequest
-    ) -> Iterator[Bridge]:
-        with lent(shared, world, request) as made:
-            yield made
 
 
 class TestRtmBridge(BridgeConformance):
