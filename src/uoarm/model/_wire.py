@@ -19,7 +19,7 @@ import attrs
 from attrs import field, frozen
 from attrs.validators import ge
 
-from uoarm._encodable import encodable
+from uoarm._encodable import encodable, is_encodable
 from uoarm.errors import ControlMessageError
 from uoarm.model._message import MessageStructure, message_octets
 from uoarm.model._plan import Reason, Rejection
@@ -196,7 +196,6 @@ def _structure(data: Any) -> MessageStructure:
 
 
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
-_HALVES = re.compile("[\ud800-\udfff]")
 _MOST_DIGITS = 1000
 _MAY_BE_INFINITE = re.compile(r"[eE]\+?\d{3}|\d{300}")
 
@@ -233,7 +232,7 @@ def read_json(text: str | bytes) -> Any:
 
 
 def _refuse_halves(text: str, value: Any) -> None:
-    if _HALF.search(text) and _HALVES.search(json.dumps(value, ensure_ascii=False)):
+    if _HALF.search(text) and not is_encodable(json.dumps(value, ensure_ascii=False)):
         raise ValueError("half of a surrogate pair is no character")
 
 
