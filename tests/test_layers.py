@@ -60,6 +60,7 @@ LAYERS = [
     {"record"},
     {"_host"},
     {"_bridges"},
+    {"_parts"},
     {"config"},
     {"_resolve"},
     {"_lock"},
@@ -76,7 +77,7 @@ RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 BY_MODULE = {"_control"}
 WITHIN = {
     "_control": [
-        {"engine", "offered_function"},
+        {"engine"},
         {"live"},
         {"candidates", "connection"},
         {"requests", "configuration_changes"},

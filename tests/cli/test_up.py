@@ -14,7 +14,6 @@ from click import unstyle
 from click.testing import CliRunner
 
 from uoarm import RobotManager
-from uoarm._control import candidates
 from uoarm.bridge import BridgeType, Registry
 from uoarm.cli import _up, main
 from uoarm.cli._serve import say
@@ -41,8 +40,8 @@ EMPTY = "version: 1\nbridges: {lab: {plugin: memory}}\nfunctions: {}\n"
 
 @pytest.fixture(autouse=True)
 def _hurried(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(candidates, "_EVERY_SECONDS", 0.05)
-    monkeypatch.setattr(candidates, "_SETTLE_SECONDS", 0.0)
+    monkeypatch.setattr("uoarm._resolve._discovery._EVERY_SECONDS", 0.05)
+    monkeypatch.setattr("uoarm._resolve._discovery._SETTLE_SECONDS", 0.0)
 
 
 def follower(

@@ -16,9 +16,8 @@ from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
-from uoarm._control.live.component import LiveComponent
-from uoarm._control.live.revisions import find_replacement
-from uoarm._control.offered_function import OfferedFunction
+from uoarm._parts import LiveComponent, OfferedFunction
+from uoarm._resolve import find_replacement
 from uoarm.config import loads
 from uoarm.errors import ResolutionError
 from uoarm.model import FailoverPolicy, Health, OfferState, Plan, PortRef, ValidationMode

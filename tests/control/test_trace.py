@@ -17,7 +17,6 @@ from tests.control.world import FACE, Plans
 
 import uoarm
 from uoarm import RobotManager
-from uoarm._control import candidates
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import InputInUseError
@@ -158,7 +157,7 @@ functions:
 def test_what_is_discovered_is_in_the_log_and_replays(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(candidates, "_EVERY_SECONDS", 0.05)
+    monkeypatch.setattr("uoarm._resolve._discovery._EVERY_SECONDS", 0.05)
     done: list[tuple[act.Action, ...]] = []
     begun: list[State] = []
     plans: dict[tuple[str, ...], Plan] = {}

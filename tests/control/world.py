@@ -20,8 +20,7 @@ from uoarm._control.engine.move import MovePhase, MoveReason
 from uoarm._control.engine.placement import Kind, Part, Parts, Placement
 from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.engine.step import desired, difference, step
-from uoarm._control.live.revisions import find_replacement
-from uoarm._resolve import Resolver, StructureCache
+from uoarm._resolve import Resolver, StructureCache, find_replacement
 from uoarm.config import compare, loads
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import (

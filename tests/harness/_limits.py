@@ -44,9 +44,9 @@ _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
 _CONSTANTS = {
     "uoarm._bridges._bridge_set": ("_START_SECONDS",),
     "uoarm._control.candidates": ("_ASK_SECONDS", "_GRACE_SECONDS"),
-    "uoarm._control.live.application_ports": ("_LAST_SECONDS",),
-    "uoarm._control.live.component": ("_STOP_SECONDS",),
-    "uoarm._control.offered_function": ("_OPEN_SECONDS", "_DESCRIBE_SECONDS"),
+    "uoarm._parts._application_ports": ("_LAST_SECONDS",),
+    "uoarm._parts._component": ("_STOP_SECONDS",),
+    "uoarm._parts._offered_function": ("_OPEN_SECONDS", "_DESCRIBE_SECONDS"),
     "uoarm._hints.applications": ("_SECONDS",),
     "uoarm._host.remote_bridge": ("_BLOCKING_SECONDS", "_PROMPT_SECONDS"),
     "uoarm._host.transport.socket_transport": ("_FULL_SECONDS", "_MUST_ARRIVE_SECONDS"),

@@ -9,8 +9,8 @@ import pytest
 from tests.manager import stage
 
 from uoarm import Connection, ResolutionError, RobotManager
-from uoarm._control.live.component import LiveEdge
 from uoarm._dataplane import Clock
+from uoarm._parts import LiveEdge
 from uoarm._resolve import NoPlanError
 from uoarm.config import loads
 from uoarm.testing import Background, MemoryBridge, patience, wait

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import pytest
 
 from uoarm import RobotManager
-from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.connection_runtime import LossAccount
 from uoarm._dataplane import FailureWatch, Outlet, Route
+from uoarm._parts import LiveComponent
 from uoarm._safety import EmergencyStop
 from uoarm.bridge import Bridge, Sink, Source
 from uoarm.config import loads

@@ -70,8 +70,8 @@ class Lab:
 
 @pytest.fixture
 def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
-    monkeypatch.setattr(candidates, "_EVERY_SECONDS", 0.05)
-    monkeypatch.setattr(candidates, "_SETTLE_SECONDS", 0.0)
+    monkeypatch.setattr("uoarm._resolve._discovery._EVERY_SECONDS", 0.05)
+    monkeypatch.setattr("uoarm._resolve._discovery._SETTLE_SECONDS", 0.0)
     made = Lab()
     yield made
     made.far.may_answer.set()
@@ -203,7 +203,7 @@ def test_of_a_thousand_that_come_and_go_between_two_rounds_only_the_last_state_c
 def test_who_asks_first_waits_for_what_a_framework_learns_after_its_start(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(candidates, "_SETTLE_SECONDS", patience())
+    monkeypatch.setattr("uoarm._resolve._discovery._SETTLE_SECONDS", patience())
     lab.lab.emitter("head", NUMBER)
     lab.lab.hidden.add("head")
     lab.lab.shown_at = 3

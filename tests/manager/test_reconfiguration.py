@@ -13,7 +13,7 @@ from tests.manager import stage
 
 from uoarm import RobotManager
 from uoarm._control.live import revisions
-from uoarm._control.live.application_ports import ApplicationPorts
+from uoarm._parts import ApplicationPorts
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, UsageError

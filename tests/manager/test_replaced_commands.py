@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from uoarm import RobotManager
-from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.parts import Ending
+from uoarm._parts import LiveComponent
 from uoarm.bridge import Bridge, Description, Registry, Sink, Source
 from uoarm.config import loads
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
@@ -124,7 +124,7 @@ def test_what_is_being_closed_is_stopped_too_before_the_next_gets_a_command(
     start: Start, motors: Motors, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("uoarm.bridge._watchdog._LAST_SECONDS", patience())
-    monkeypatch.setattr("uoarm._control.live.component._STOP_SECONDS", patience())
+    monkeypatch.setattr("uoarm._parts._component._STOP_SECONDS", patience())
     asked = threading.Event()
     hold_inputs = LiveComponent.hold_inputs
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uoarm._control.candidates import DiscoveryRounds
+from uoarm._resolve import DiscoveryRounds
 from uoarm.config import loads
 
 ONE, OTHER = (loads("version: 1\nbridges: {}\nfunctions: {}\n") for _ in range(2))

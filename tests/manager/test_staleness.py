@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from uoarm import RobotManager
-from uoarm._control.live.staleness import StalenessWatch
+from uoarm._parts import StalenessWatch
 from uoarm.bridge import HealthEvent
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason

@@ -8,85 +8,29 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from attrs import define, field
-
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
 from uoarm._dataplane import Clock
-from uoarm._resolve import Discovery, Proofs, Structures, Unavailable, add_candidates
+from uoarm._resolve import (
+    Discovery,
+    DiscoveryRounds,
+    Proofs,
+    Structures,
+    Unavailable,
+    UndescribedComponents,
+    add_candidates,
+)
 from uoarm.bridge import Bridge, BridgeType
 from uoarm.errors import BridgeTimeoutError, UoarmError
 from uoarm.model import Component, Endpoint, Robot
 
-__all__ = ["CandidateWatch", "DiscoveryRounds"]
+__all__ = ["CandidateWatch"]
 
-_REST = 4.0  # times what a round took, or the question for one component
-_EVERY_SECONDS = 2.0
-# Frameworks learn of each other after their start, ROS 2 within a second or two.
-_SETTLE_SECONDS = 3.0
-_SETTLE_EVERY = 0.25
 _ASK_SECONDS = 5.0
 _GRACE_SECONDS = 1.0
 _TURN_SECONDS = 1.0
 _KEPT_ANSWERS = 3
 _log = logging.getLogger("uoarm")
-
-
-@define(eq=False)
-class DiscoveryRounds:
-    """When bridges are asked, and when all of that is known which can be expected.
-
-    Attributes:
-        matched: the configuration that has its candidates.
-    """
-
-    matched: Robot | None = None
-    _settling: Robot | None = field(default=None, init=False)
-    _settles_at: float = field(default=0.0, init=False)
-
-    def ended(
-        self, base: Robot, begun: float, now: float, *, is_whole: bool, has_all: bool
-    ) -> float:
-        """Note a round; return the seconds until the next one.
-
-        Args:
-            base: the configuration that it was for.
-            begun: when it began.
-            now: when it ended.
-            is_whole: whether every bridge has answered, now or before.
-            has_all: whether every function with needs has a candidate.
-        """
-        if self._settling is not base or not is_whole:  # the last one may have just started
-            self._settling, self._settles_at = base, now + _SETTLE_SECONDS
-        is_settled = is_whole and (now >= self._settles_at or has_all)
-        if not is_settled:
-            return _SETTLE_EVERY  # requests wait, and rounds in which hosts start are long
-        self.matched = base
-        return max(_EVERY_SECONDS, _REST * (now - begun))
-
-
-class UndescribedComponents:
-    """Components whose structures were not to be had lately: each is asked again after a rest.
-
-    For one that is not there a bridge waits as long as it may, and no round ends meanwhile. As
-    rounds do, asking for one component takes a fifth of the time at most.
-    """
-
-    def __init__(self) -> None:
-        self._base: Robot | None = None
-        self._found: dict[str, tuple[Unavailable, float]] = {}
-
-    def known(self, base: Robot, name: str, now: float) -> Unavailable | None:
-        """Return why a component's structures were not to be had, until it is to be asked again."""
-        if base is not self._base:
-            self._base, self._found = base, {}
-        found, due = self._found.get(name, (None, now))
-        return found if now < due else None
-
-    def note(self, name: str, found: Unavailable, begun: float, now: float) -> None:
-        """Note why a component's structures were not to be had; it was asked at `begun`."""
-        self._found = {key: kept for key, kept in self._found.items() if now < kept[1]}
-        self._found[name] = found, now + _REST * (now - begun)
 
 
 class CandidateWatch:

@@ -12,11 +12,11 @@ from typing_extensions import Self
 
 from uoarm._arguments import arguments
 from uoarm._control.engine.state import ConnectionRecord
-from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.driver import Driver
 from uoarm._dataplane import QueueClosed
 from uoarm._hints.applications import MessageType, T, as_message
+from uoarm._parts import ApplicationPorts
 from uoarm._renewal import HeldCommand, renewal_period, renewed
 from uoarm._spans import span
 from uoarm.errors import ConnectionClosedError, UsageError

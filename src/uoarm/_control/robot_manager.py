@@ -18,23 +18,22 @@ from uoarm import record as recorder
 from uoarm._arguments import arguments
 from uoarm._bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
-from uoarm._control.configuration_changes import KeptFile
 from uoarm._control.connection import Connection
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
-from uoarm._control.live.staleness import StalenessWatch
-from uoarm._control.live.threads import EventDispatcher
 from uoarm._control.requests import Requests, Services
-from uoarm._control.robot_view import RobotView
+from uoarm._control.robot_view import EventDispatcher, RobotView
 from uoarm._dataplane import Clock
 from uoarm._figures import observe
 from uoarm._hints.applications import MessageType, T
 from uoarm._interrupts import Uninterrupted
 from uoarm._mistakes import choose
+from uoarm._parts import StalenessWatch
 from uoarm._resolve import Discovery
 from uoarm._safety import EmergencyStop, StopFile
 from uoarm._support import deadlines
 from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.config._keeping import KeptFile
 from uoarm.errors import (
     UsageError,
 )
@@ -110,7 +109,8 @@ class RobotManager(RobotView):
         )
         self._driver = Driver(
             bridges=self._bridges,
-            events=self._events,
+            announce=self._events.post,
+            listen=self._events.listen,
             revisions=self._revisions,
             clock=clock,
             emergency_stop=EmergencyStop(
@@ -126,7 +126,7 @@ class RobotManager(RobotView):
             self._revisions, self._driver, self._bridges.get, self.registry.types, clock
         )
         self._requests = Requests(
-            self._revisions, self._driver, self._candidates, self._events, clock
+            self._revisions, self._driver, self._candidates, self._events.post, clock
         )
         self._services = Services(self._bridges, self._driver, clock)
         self._staleness = StalenessWatch(

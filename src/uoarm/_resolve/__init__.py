@@ -1,6 +1,11 @@
 """Resolution: from a function asked for to a plan that is proven to fit, or to the reasons."""
 
-from uoarm._resolve._candidates import add_candidates, keep_candidates, without_candidates
+from uoarm._resolve._candidates import (
+    add_candidates,
+    carry_candidates,
+    keep_candidates,
+    without_candidates,
+)
 from uoarm._resolve._catalogue import (
     EdgeCheck,
     Hold,
@@ -9,12 +14,24 @@ from uoarm._resolve._catalogue import (
     Structures,
     Unavailable,
 )
-from uoarm._resolve._discovery import Discovery, check_availability, with_rates
+from uoarm._resolve._discovery import (
+    Discovery,
+    DiscoveryRounds,
+    UndescribedComponents,
+    check_availability,
+    with_rates,
+)
 from uoarm._resolve._proofs import Proofs
-from uoarm._resolve._resolver import NoPlanError, Resolver
+from uoarm._resolve._resolver import (
+    NoPlanError,
+    Resolver,
+    find_replacement,
+    reachable_components,
+)
 
 __all__ = [
     "Discovery",
+    "DiscoveryRounds",
     "EdgeCheck",
     "Hold",
     "NoPlanError",
@@ -24,9 +41,13 @@ __all__ = [
     "StructureCatalogue",
     "Structures",
     "Unavailable",
+    "UndescribedComponents",
     "add_candidates",
+    "carry_candidates",
     "check_availability",
+    "find_replacement",
     "keep_candidates",
+    "reachable_components",
     "with_rates",
     "without_candidates",
 ]

@@ -34,7 +34,7 @@ from uoarm.model import (
     Service,
 )
 
-__all__ = ["add_candidates", "keep_candidates", "without_candidates"]
+__all__ = ["add_candidates", "carry_candidates", "keep_candidates", "without_candidates"]
 
 _MOST_CANDIDATES = 32
 _MOST_PASSED = 20
@@ -137,6 +137,29 @@ def keep_candidates(robot: Robot, kept: Iterable[Component]) -> Robot:
             function, components=tuple(components.values()), passed_over=passed
         )
     return evolve(robot, functions=functions)
+
+
+def carry_candidates(before: Robot, base: Robot) -> Robot:
+    """Return a configuration with the candidates of another that may be its own, too."""
+    functions = dict(base.functions)
+    for name, function in base.functions.items():
+        old = before.functions.get(name)
+        if function.needs is None or old is None or old.needs != function.needs:
+            continue
+        still = tuple(
+            component
+            for component in old.components
+            if component.match is not None
+            and before.bridges.get(component.bridge) == base.bridges.get(component.bridge)
+            and all(
+                input_.source is None or input_.source.function in functions
+                for input_ in component.inputs
+            )
+        )
+        functions[name] = evolve(
+            function, components=(*function.components, *still), passed_over=old.passed_over
+        )
+    return evolve(base, functions=functions)
 
 
 class _Matching:

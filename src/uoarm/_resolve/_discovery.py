@@ -1,4 +1,7 @@
-"""What bridges see now, and what can be had: all are asked at once, each within a limit."""
+"""What bridges see now, and what can be had: all are asked at once, each within a limit.
+
+When they are asked again, as candidates are looked for, is here, too.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias, TypeVar
 
-from attrs import define, evolve
+from attrs import define, evolve, field
 
 from uoarm._raised import sentence_of
 from uoarm._resolve._catalogue import StructureCache, Unavailable
@@ -34,9 +37,19 @@ from uoarm.model import (
     message_octets,
 )
 
-__all__ = ["Discovery", "check_availability", "with_rates"]
+__all__ = [
+    "Discovery",
+    "DiscoveryRounds",
+    "UndescribedComponents",
+    "check_availability",
+    "with_rates",
+]
 
-_REST = 4.0
+_REST = 4.0  # times what an answer, a round, or the question for one component took
+_EVERY_SECONDS = 2.0
+# Frameworks learn of each other after their start, ROS 2 within a second or two.
+_SETTLE_SECONDS = 3.0
+_SETTLE_EVERY = 0.25
 _MOST_PORTS = 10_000
 _MOST_OCTETS = 2_000_000
 _log = logging.getLogger("uoarm")
@@ -361,3 +374,60 @@ def _judge(
     except ResolutionError as error:
         return FunctionStatus(name, None, candidates, str(error))
     return FunctionStatus(name, plan.provider.component.name, candidates)
+
+
+@define(eq=False)
+class DiscoveryRounds:
+    """When bridges are asked, and when all of that is known which can be expected.
+
+    Attributes:
+        matched: the configuration that has its candidates.
+    """
+
+    matched: Robot | None = None
+    _settling: Robot | None = field(default=None, init=False)
+    _settles_at: float = field(default=0.0, init=False)
+
+    def ended(
+        self, base: Robot, begun: float, now: float, *, is_whole: bool, has_all: bool
+    ) -> float:
+        """Note a round; return the seconds until the next one.
+
+        Args:
+            base: the configuration that it was for.
+            begun: when it began.
+            now: when it ended.
+            is_whole: whether every bridge has answered, now or before.
+            has_all: whether every function with needs has a candidate.
+        """
+        if self._settling is not base or not is_whole:  # the last one may have just started
+            self._settling, self._settles_at = base, now + _SETTLE_SECONDS
+        is_settled = is_whole and (now >= self._settles_at or has_all)
+        if not is_settled:
+            return _SETTLE_EVERY  # requests wait, and rounds in which hosts start are long
+        self.matched = base
+        return max(_EVERY_SECONDS, _REST * (now - begun))
+
+
+class UndescribedComponents:
+    """Components whose structures were not to be had lately: each is asked again after a rest.
+
+    For one that is not there a bridge waits as long as it may, and no round ends meanwhile. As
+    rounds do, asking for one component takes a fifth of the time at most.
+    """
+
+    def __init__(self) -> None:
+        self._base: Robot | None = None
+        self._found: dict[str, tuple[Unavailable, float]] = {}
+
+    def known(self, base: Robot, name: str, now: float) -> Unavailable | None:
+        """Return why a component's structures were not to be had, until it is to be asked again."""
+        if base is not self._base:
+            self._base, self._found = base, {}
+        found, due = self._found.get(name, (None, now))
+        return found if now < due else None
+
+    def note(self, name: str, found: Unavailable, begun: float, now: float) -> None:
+        """Note why a component's structures were not to be had; it was asked at `begun`."""
+        self._found = {key: kept for key, kept in self._found.items() if now < kept[1]}
+        self._found[name] = found, now + _REST * (now - begun)

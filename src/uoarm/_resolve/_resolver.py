@@ -1,4 +1,7 @@
-"""The resolver: the plan for a function, found once and kept until something changes."""
+"""The resolver: the plan for a function, found once and kept until something changes.
+
+A plan that can take the place of another is found here, too.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +13,26 @@ from collections.abc import Callable, Collection, Mapping
 
 from attrs import frozen
 
+from uoarm._adapt import check_edge
 from uoarm._resolve._catalogue import EdgeCheck, StructureCatalogue
 from uoarm._resolve._proofs import EdgeChecks
 from uoarm._resolve._search import Search
 from uoarm.config import fed_by
 from uoarm.errors import ResolutionError
-from uoarm.model import Function, Plan, Rejection, Robot, format_rejections
+from uoarm.model import (
+    Function,
+    MessageStructure,
+    Plan,
+    Rejection,
+    Robot,
+    format_rejections,
+)
 
-__all__ = ["NoPlanError", "Resolver"]
+__all__ = ["NoPlanError", "Resolver", "find_replacement", "reachable_components"]
 
 _BUDGET = 1_000_000
 _SEARCHES = 3
+_TRIES = 50
 # A candidate that was not there is looked for again after ten times as long as asking for it took.
 _PATIENCE = 10.0
 _LEAST_SECONDS, _MOST_SECONDS = 1.0, 30.0
@@ -172,3 +184,120 @@ class Resolver:
             return math.inf
         seconds = max(_LEAST_SECONDS, min(_MOST_SECONDS, _PATIENCE * seconds_unavailable))
         return self._clock() + seconds
+
+
+Resolve = Callable[[str, frozenset[str]], Plan]
+"""Resolves a function without the components of these names, or raises ResolutionError."""
+
+
+def find_replacement(
+    plan: Plan,
+    output: str | None,
+    excluded: frozenset[str],
+    failed: tuple[str, ...],
+    resolve: Resolve,
+) -> Plan:
+    """Return the plan of highest priority that gives the application what its own gave.
+
+    Its provider has the same output and inputs, emits nothing that the old one could not emit,
+    and takes all that the old one took. What failed lately is used only where there is nothing
+    else, and of that first what failed longest ago: a bridge may well find a component that does
+    not do what is expected of it, so that being there again does not mean being well.
+
+    Args:
+        plan: the application's own.
+        output: the output that the application receives, None where it receives none.
+        excluded: components that may not be used.
+        failed: components that failed lately, longest ago first.
+        resolve: resolves a function.
+
+    Raises:
+        ResolutionError: there is none; the text says why each candidate is none.
+    """
+    failed = tuple(name for name in failed if name not in excluded)
+
+    def found_without(*, first: int) -> Plan | None:
+        try:
+            return _find(plan, output, excluded.union(failed[first:]), resolve)
+        except ResolutionError:
+            return None
+
+    found = found_without(first=0) if failed else None
+    if found is not None:
+        return found
+    found = _find(plan, output, excluded, resolve)  # where even this fails, nothing helps
+    # As few as possible of those that failed longest ago are allowed. What is found with fewer is
+    # found with more, so that halving finds them: thousands may have died with one bridge.
+    too_few, enough = 0, len(failed)
+    while enough - too_few > 1:
+        middle = (too_few + enough) // 2
+        with_fewer = found_without(first=middle)
+        if with_fewer is None:
+            too_few = middle
+        else:
+            found, enough = with_fewer, middle
+    return found
+
+
+def _find(plan: Plan, output: str | None, excluded: frozenset[str], resolve: Resolve) -> Plan:
+    unfit: list[str] = []
+    for _ in range(_TRIES):
+        try:
+            found = resolve(plan.function, excluded)
+        except ResolutionError as error:
+            raise ResolutionError("\n".join([*unfit, str(error)])) from error
+        difference = _difference(plan, found, output)
+        if not difference:
+            return found
+        name = found.provider.component.name
+        unfit.append(f"component {name!r} is no replacement: {difference}")
+        excluded |= {name}
+    raise ResolutionError("\n".join(unfit))
+
+
+def _difference(dead: Plan, plan: Plan, output: str | None) -> str:
+    """Say what the application would notice, or nothing."""
+    old, new = dead.provider, plan.provider
+    if output is not None:
+        found = new.structures.get(f"output.{output}")
+        if found is None:
+            return f"it has no output {output!r}"
+        text = _refusal(found, old.structures[f"output.{output}"])
+        if text:
+            return f"its output {output!r} is another: {text}"
+    taken = {port.name for port in new.component.inputs if port.source is None}
+    for port in old.component.inputs:
+        if port.source is not None:
+            continue
+        if port.name not in taken:
+            return f"it has no input {port.name!r} for the application"
+        key = f"input.{port.name}"
+        text = _refusal(old.structures[key], new.structures[key])
+        if text:
+            return f"its input {port.name!r} is another: {text}"
+    return ""
+
+
+def _refusal(producer: MessageStructure, consumer: MessageStructure) -> str:
+    if producer == consumer:
+        return ""
+    verdict = check_edge(producer, consumer)
+    if verdict.compatible:
+        return ""
+    return "; ".join(
+        f"{reason.path or 'message'}: {reason.sentence}" for reason in verdict.reasons[:3]
+    )
+
+
+def reachable_components(functions: Mapping[str, Function], name: str) -> frozenset[str]:
+    """Return the names of all components that a plan of a function may have."""
+    found: set[str] = set()
+    seen, sought = {name}, [name]
+    while sought:
+        function = functions.get(sought.pop())
+        for component in () if function is None else function.components:
+            found.add(component.name)
+            sources = {port.source.function for port in component.inputs if port.source is not None}
+            sought += sources - seen
+            seen |= sources
+    return frozenset(found)

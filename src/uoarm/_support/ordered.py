@@ -1,4 +1,4 @@
-"""A persistent map that keeps its order: a change makes another one, and costs no copy."""
+"""Maps with an order: a persistent one, of which a change makes another, and bounded ones."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from typing import TypeVar
 
 from rpds import HashTrieMap
 
-__all__ = ["OrderedMap"]
+__all__ = ["OrderedMap", "keep_newest"]
 
 Key = TypeVar("Key")
 Value = TypeVar("Value")
+
+# Names of discovered components come and go for ever: what is kept by name needs a bound.
+_NAMES = 1000
 
 
 class OrderedMap(Mapping[Key, Value]):
@@ -97,3 +100,11 @@ class OrderedMap(Mapping[Key, Value]):
 
     def __repr__(self) -> str:
         return f"OrderedMap({list(self.items())})"
+
+
+def keep_newest(by_name: dict[str, Value], name: str, value: Value) -> None:
+    """Set a value, and forget those that were set longest ago: names come and go for ever."""
+    by_name.pop(name, None)
+    by_name[name] = value
+    while len(by_name) > _NAMES:
+        del by_name[next(iter(by_name))]

@@ -1,4 +1,4 @@
-"""A pool of daemon worker threads: the one place where threads are started for calls that wait."""
+"""Threads for calls that wait: a pool of workers, lanes of calls one after another, and a timer."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeAlias, TypeVar
 
-from attrs import field, frozen
+from attrs import define, field, frozen
 
 from uoarm._raised import contained
 from uoarm._support.process_tuning import fit_switch_interval
 from uoarm.errors import UoarmError
 
-__all__ = ["Done", "WorkerPool", "WorkerPoolClosedError"]
+__all__ = ["Done", "Job", "Lanes", "Timer", "WorkerPool", "WorkerPoolClosedError"]
 
 T = TypeVar("T")
 Done: TypeAlias = Callable[[Any, Exception | None], object]
 """Takes what a call returned, or None and what it raised, contained where it is no Exception."""
+Job: TypeAlias = Callable[[], None]
 
 _IDLE_SECONDS = 10.0
+_LEAST_SECONDS = 0.02
 _log = logging.getLogger("uoarm")
 
 
@@ -273,3 +275,211 @@ class WorkerPool:
             task.done(result, error)
         except BaseException:  # noqa: BLE001 - whatever it is, the thread goes on
             _log.exception("the callback of a call in a thread of %s failed", self._name)
+
+
+@frozen
+class _Reply:
+    """The reply that the driver of a lane waits for."""
+
+    error: BaseException | None
+
+
+@define(eq=False)
+class _Lane:
+    """Jobs, and whether a thread is doing them or waits for them.
+
+    Attributes:
+        are_quick: says of each job whether it is quick.
+        is_waited_for: whether nothing is to be done in it yet.
+    """
+
+    jobs: SimpleQueue[Job | _Reply] = field(factory=SimpleQueue)
+    is_driven: bool = False
+    has_begun: bool = False
+    are_quick: tuple[Callable[[], bool], ...] = ()
+    is_waited_for: bool = True
+
+
+class Lanes:
+    """Does the jobs of each lane one after another, those of several lanes at the same time.
+
+    Args:
+        start: begins a call in a worker thread; it neither waits for it nor raises.
+    """
+
+    def __init__(self, start: Callable[[Job], None]) -> None:
+        self._start = start
+        # Guards the table, and whether a thread does the jobs of a lane: one that is put just as
+        # its lane is found empty would be done by no thread.
+        self._lock = threading.Lock()
+        self._lanes: dict[str, _Lane] = {}
+
+    def reserve(self, name: str) -> None:
+        """Leave what comes into a new lane to a call of `drive`."""
+        # Before the event that puts the first job, as a lane that is not there is a worker's.
+        with self._lock:
+            self._lanes[name] = _Lane(is_driven=True)
+
+    def put(self, name: str, job: Job, *, is_quick: Callable[[], bool] | None = None) -> None:
+        """Have a job done after the others of its lane. Waits for nothing.
+
+        Args:
+            name: of the lane.
+            job: to be done; it raises nothing.
+            is_quick: says whether it calls nothing that may hang; None: it may.
+        """
+        with self._lock:
+            lane = self._lanes.get(name)
+            if lane is None:
+                lane = self._lanes[name] = _Lane()
+            # Under the lock of the last look of who serves: it finds this job, or the lane is gone
+            # by now.
+            lane.jobs.put(job)
+            lane.are_quick = (*lane.are_quick, is_quick or _never)
+            lane.is_waited_for = False
+            if lane.is_driven:
+                return
+            lane.is_driven = True
+        self._start(partial(self._serve, name, lane))
+
+    def reply(self, name: str, error: BaseException | None) -> None:
+        """End the `drive` of a lane after the jobs that are in it; nothing where there is none."""
+        with self._lock:
+            lane = self._lanes.get(name)
+            if lane is not None:
+                lane.jobs.put(_Reply(error))
+                lane.is_waited_for = False
+
+    def drive(self, name: str) -> None:
+        """Do the jobs of a lane that was reserved, in this thread, until the reply.
+
+        Where that is interrupted, a worker thread goes on.
+
+        Raises:
+            BaseException: the error of the reply.
+        """
+        with self._lock:
+            lane = self._lanes[name]
+            lane.has_begun = True
+        # The reply is a job among the others: what was put before it is done before it.
+        try:
+            while not isinstance(job := lane.jobs.get(), _Reply):
+                job()
+        except BaseException:
+            self._start(partial(self._serve, name, lane))
+            raise
+        self._end(name, job)
+
+    def drive_quick(self, name: str) -> bool:
+        """Do the jobs of a lane that was reserved, where there are some and all are quick.
+
+        Returns:
+            Whether that was all; False: the rest, or all of it, is for `drive`, with a time limit.
+
+        Raises:
+            BaseException: the error of the reply.
+        """
+        with self._lock:
+            lane = self._lanes[name]
+            are_quick = () if lane.is_waited_for else lane.are_quick
+        if not (are_quick and all(is_quick() for is_quick in are_quick)):
+            return False
+        # Where what was quick to open has died by now, another plan is sought, and a wait for that
+        # needs a time limit.
+        while not lane.jobs.empty():
+            if isinstance(job := lane.jobs.get_nowait(), _Reply):
+                self._end(name, job)
+                return True
+            job()
+        return False
+
+    def _end(self, name: str, reply: _Reply) -> None:
+        with self._lock:
+            del self._lanes[name]
+        if reply.error is not None:
+            raise reply.error
+
+    def abandon(self, name: str) -> None:
+        """Have a worker thread do the jobs of a lane that was reserved, unless `drive` began."""
+        with self._lock:
+            lane = self._lanes.get(name)
+            # Exactly one thread does its jobs: the caller's where that came first, else a worker.
+            if lane is None or lane.has_begun:
+                return
+            lane.has_begun = True
+        self._start(partial(self._serve, name, lane))
+
+    def _serve(self, name: str, lane: _Lane) -> None:
+        while True:
+            try:
+                job = lane.jobs.get_nowait()
+            except Empty:
+                # Looked at again with the lock, with which jobs are put: one that comes now finds
+                # this lane gone, and begins another.
+                with self._lock:
+                    if lane.jobs.empty():
+                        self._lanes.pop(name, None)
+                        return
+                continue
+            if not isinstance(job, _Reply):
+                job()
+
+
+def _never() -> bool:
+    return False
+
+
+class Timer:
+    """Calls back at the earliest of the times asked for, then waits to be asked again.
+
+    It may call early where the clock is not the machine's own: what is called looks at the
+    clock. Times that lie close together are one call, since each has everything looked at that
+    waits. The thread begins with the first time asked for.
+
+    Args:
+        reached: called in the timer's thread.
+    """
+
+    def __init__(self, clock: Callable[[], float], reached: Callable[[], None]) -> None:
+        self._clock = clock
+        self._reached = reached
+        # Guards the one time that is waited for. No list of times: what is not yet due is said so
+        # again.
+        self._changed = threading.Condition(threading.Lock())
+        self._due: float | None = None
+        self._is_closed = False
+        self._thread: threading.Thread | None = None
+
+    def wake_at(self, time: float) -> None:
+        """Call back at this time, or at an earlier one asked for. Any thread."""
+        with self._changed:
+            if self._is_closed or (self._due is not None and self._due <= time):
+                return
+            self._due = time
+            self._changed.notify()
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="uoarm-control", daemon=True)
+                self._thread.start()
+
+    def close(self) -> None:
+        """Call back no more. Idempotent."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify()
+
+    def _run(self) -> None:
+        while self._wait():
+            self._reached()
+
+    def _wait(self) -> bool:
+        """Wait until the earliest time; False when there will be none."""
+        with self._changed:
+            while not self._is_closed:
+                if self._due is None:
+                    self._changed.wait()
+                    continue
+                seconds = max(_LEAST_SECONDS, self._due - self._clock())
+                if not self._changed.wait(seconds):
+                    self._due = None
+                    return True
+            return False

@@ -1,20 +1,25 @@
-"""Writing a configuration over another: only the lines of what is different change."""
+"""Writing a configuration over another, in its file: only the lines of what is different change."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path as FilePath
 from typing import Any
 
 from attrs import evolve, frozen
 
-from uoarm._support.yaml import Document, Path, read
-from uoarm.config._load import loads
-from uoarm.errors import ConfigurationError
+from uoarm import config
+from uoarm._support import yaml
+from uoarm._support.files import written_beside
+from uoarm._support.yaml import Document, Path
+from uoarm.errors import ConfigurationError, UsageError
 from uoarm.model import Robot
 
-__all__ = ["is_same", "rewrite"]
+__all__ = ["KeptFile", "is_same", "rewrite"]
 
+_MOST_OCTETS = 10_000_000
 _COMMENT = re.compile(r"(?:^|\s)(#.*)$")
 
 
@@ -45,7 +50,7 @@ class _Text:
 
     def __init__(self, text: str) -> None:
         self.lines = text.splitlines()
-        self.document: Document = read(text)
+        self.document: Document = yaml.read(text)
         whole = _Entry((), 0, len(self.lines), 0)
         self.root = evolve(whole, end=self._without_tail(0, len(self.lines)))
 
@@ -118,10 +123,10 @@ def rewrite(text: str, wanted: str) -> str:
     Raises:
         ConfigurationError: one has mistakes, or it cannot be done line by line.
     """
-    robot = loads(wanted)
+    robot = config.loads(wanted)
     if _is_made_from(wanted, text):
         return wanted
-    if is_same(loads(text), robot):
+    if is_same(config.loads(text), robot):
         return text
     old, new = _Text(text), _Text(wanted)
     lines = list(old.lines)
@@ -130,7 +135,7 @@ def rewrite(text: str, wanted: str) -> str:
         lines[edit.first : edit.end] = edit.lines
     made = "\n".join(lines) + "\n"
     try:
-        is_made = is_same(loads(made), robot)
+        is_made = is_same(config.loads(made), robot)
     except ConfigurationError:
         is_made = False
     if not is_made:
@@ -215,3 +220,79 @@ def _name(text: _Text, entry: _Entry) -> object:
         return part
     value = text.value(entry.path)
     return value.get("name") if isinstance(value, dict) else None
+
+
+class KeptFile:
+    """A configuration file, and what stood in it when it was read or written last.
+
+    Of two writers none undoes the other's change unseen: where another writer has written since,
+    nothing is. For one thread at a time.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._path = FilePath(robot.origin) if robot.origin else None
+        self._text = robot.text
+
+    def note(self, robot: Robot) -> None:
+        """Note a configuration that was read from a file; another file than this one is nothing."""
+        if self._path is not None and FilePath(robot.origin) == self._path:
+            self._text = robot.text
+
+    def prepare(self, wanted: str) -> str:
+        """Return what would stand in the file with another configuration; writes nothing.
+
+        Raises:
+            UsageError: the configuration is of no file, or another writer has changed that.
+            ConfigurationError: the change cannot be written line by line.
+        """
+        self._require_unchanged(self._known())
+        return rewrite(self._text, wanted)
+
+    @contextmanager
+    def written(self, text: str) -> Iterator[None]:
+        """Write the file beside its place, and put it there as the block ends without an error.
+
+        What can fail for want of room has failed before the block begins.
+
+        Raises:
+            UsageError: another writer has changed the file meanwhile; that change stands.
+            ConfigurationError: it cannot be written.
+        """
+        place = self._known().resolve()
+        with ExitStack() as stack:
+            with _writing(place):
+                mode = place.stat().st_mode
+                beside = written_beside(place, text.encode(), private=True)
+                put_in_place = stack.enter_context(beside)
+            yield  # outside of the above: a limit that is over is an OSError, too
+            self._require_unchanged(place, "the change is in force, but not kept: ")
+            with _writing(place, "the change is in force, but "):
+                put_in_place()
+                place.chmod(mode)
+        self._text = text
+
+    def _known(self) -> FilePath:
+        if self._path is None:
+            raise UsageError(
+                "the configuration in force is of no file: there is none to keep it in"
+            )
+        return self._path
+
+    def _require_unchanged(self, path: FilePath, intro: str = "") -> None:
+        try:
+            with path.open("rb") as file:
+                now = file.read(_MOST_OCTETS + 1)
+        except OSError as error:
+            raise ConfigurationError(f"{intro}{path} cannot be read: {error}") from error
+        if now.decode(errors="replace").removeprefix("\ufeff") != self._text:
+            raise UsageError(
+                f"{intro}{path} was changed since it was read: reload it, and make the change anew"
+            )
+
+
+@contextmanager
+def _writing(place: FilePath, intro: str = "") -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ConfigurationError(f"{intro}{place} cannot be written: {error}") from error

@@ -13,9 +13,8 @@ from attrs import evolve
 
 from uoarm._control.engine.actions import HandOver
 from uoarm._control.engine.state import ConnectionRecord
-from uoarm._control.live.application_ports import ApplicationPorts, OutputReceiver
-from uoarm._control.live.component import LiveComponent, LiveEdge
 from uoarm._dataplane import Route
+from uoarm._parts import ApplicationPorts, LiveComponent, LiveEdge, OutputReceiver
 from uoarm._spans import past_span
 from uoarm.model import Gap, QueuePolicy, RouteStatus
 

@@ -31,21 +31,21 @@ from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDeliv
 from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.live.revisions import Revisions, StagedRevision
-from uoarm._control.live.threads import EventDispatcher, Job, Lanes, Timer, keep_newest
-from uoarm._control.offered_function import Functions
 from uoarm._dataplane import Clock
 from uoarm._forks import generation
 from uoarm._interrupts import Uninterrupted
+from uoarm._parts import Functions
 from uoarm._raised import foreign, sentence_of
 from uoarm._resolve import keep_candidates
 from uoarm._safety import EmergencyStop
 from uoarm._spans import current, span
 from uoarm._support import deadlines
-from uoarm._support.workers import WorkerPool
+from uoarm._support.ordered import keep_newest
+from uoarm._support.workers import Job, Lanes, Timer, WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.config import compare
 from uoarm.errors import BridgeTimeoutError, UoarmError
-from uoarm.model import Component, Health, Plan, Robot
+from uoarm.model import Component, Health, Plan, Robot, StatusEvent
 
 __all__ = ["Driver"]
 
@@ -62,6 +62,8 @@ class Driver:
     """Runs the control plane of one manager. All methods may be called from any thread.
 
     Args:
+        announce: takes a subject, a change, its cause and the function, for listeners.
+        listen: has a listener called for every change; returns what ends that.
         functions: where the functions of offers are requested.
 
     Attributes:
@@ -77,7 +79,8 @@ class Driver:
         self,
         *,
         bridges: BridgeSet,
-        events: EventDispatcher,
+        announce: Callable[[str, str, str, str], None],
+        listen: Callable[[Callable[[StatusEvent], None]], Callable[[], None]],
         revisions: Revisions,
         clock: Clock,
         emergency_stop: EmergencyStop,
@@ -86,13 +89,13 @@ class Driver:
         self._process = generation()
         robot = revisions.current.robot
         self.state = State(robot.failover, _bridges_of(robot.components()))
-        self.offers = Offers(self, revisions, functions, bridges, events, clock)
-        self.live = LiveParts(self, bridges, clock, self._judged, emergency_stop, events.post)
+        self.offers = Offers(self, revisions, functions, bridges, listen, clock)
+        self.live = LiveParts(self, bridges, clock, self._judged, emergency_stop, announce)
         self.deaths: dict[str, int] = {}
         self.takeovers: dict[str, int] = {}
         self._bridges = bridges
         self._revisions = revisions
-        self._announcements = events
+        self._announce_to_listeners = announce
         self._clock = clock
         self._events: deque[ev.Event] = deque()
         # Guards the state and the order of events: two owners would give `step` the same state.
@@ -477,7 +480,7 @@ class Driver:
         kind, _, name = action.subject.partition(" ")
         if kind == "component" and action.change == Health.LOST.value:
             keep_newest(self.deaths, name, self.deaths.get(name, 0) + 1)
-        self._announcements.post(action.subject, action.change, action.cause, action.function)
+        self._announce_to_listeners(action.subject, action.change, action.cause, action.function)
 
     def _hand_over(self, action: act.HandOver) -> None:
         function = action.after.plan.function

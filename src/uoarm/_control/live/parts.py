@@ -28,10 +28,9 @@ from uoarm._control.engine.placement import (
     Placement,
 )
 from uoarm._control.engine.state import State, oldest_first
-from uoarm._control.live.application_ports import ApplicationPorts
-from uoarm._control.live.component import LiveComponent, LiveEdge
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._dataplane import Clock, FailureWatch, Route
+from uoarm._parts import ApplicationPorts, LiveComponent, LiveEdge
 from uoarm._safety import EmergencyStop
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason

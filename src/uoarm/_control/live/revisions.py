@@ -1,8 +1,4 @@
-"""The configuration in force, those before it, and what another one would mean for connections.
-
-Plans are found here, too: for requests, and such as can go on behind the handle of a connection
-whose component died.
-"""
+"""The configuration in force, those before it, and what another one would mean for connections."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Container, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Iterator
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 
@@ -25,7 +21,16 @@ from uoarm._control.engine.move import forget_earlier, recently
 from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.live.parts import StateOwner
 from uoarm._dataplane import Clock
-from uoarm._resolve import Hold, Resolver, StructureCache, Unavailable, without_candidates
+from uoarm._resolve import (
+    Hold,
+    Resolver,
+    StructureCache,
+    Unavailable,
+    carry_candidates,
+    find_replacement,
+    reachable_components,
+    without_candidates,
+)
 from uoarm._support.ordered import OrderedMap
 from uoarm.config import ConfigurationDifference, compare
 from uoarm.errors import (
@@ -41,126 +46,18 @@ from uoarm.model import (
     ConfigurationChange,
     ConnectionEffect,
     Effect,
-    Function,
-    MessageStructure,
     Plan,
     Robot,
 )
 
 __all__ = [
-    "Resolve",
     "Revision",
     "Revisions",
     "StagedRevision",
-    "find_replacement",
     "octets_of",
 ]
 
-_TRIES = 50
 _log = logging.getLogger("uoarm")
-
-Resolve = Callable[[str, frozenset[str]], Plan]
-"""Resolves a function without the components of these names, or raises ResolutionError."""
-
-
-def find_replacement(
-    plan: Plan,
-    output: str | None,
-    excluded: frozenset[str],
-    failed: tuple[str, ...],
-    resolve: Resolve,
-) -> Plan:
-    """Return the plan of highest priority that gives the application what its own gave.
-
-    Its provider has the same output and inputs, emits nothing that the old one could not emit,
-    and takes all that the old one took. What failed lately is used only where there is nothing
-    else, and of that first what failed longest ago: a bridge may well find a component that does
-    not do what is expected of it, so that being there again does not mean being well.
-
-    Args:
-        plan: the application's own.
-        output: the output that the application receives, None where it receives none.
-        excluded: components that may not be used.
-        failed: components that failed lately, longest ago first.
-        resolve: resolves a function.
-
-    Raises:
-        ResolutionError: there is none; the text says why each candidate is none.
-    """
-    failed = tuple(name for name in failed if name not in excluded)
-
-    def found_without(*, first: int) -> Plan | None:
-        try:
-            return _find(plan, output, excluded.union(failed[first:]), resolve)
-        except ResolutionError:
-            return None
-
-    found = found_without(first=0) if failed else None
-    if found is not None:
-        return found
-    found = _find(plan, output, excluded, resolve)  # where even this fails, nothing helps
-    # As few as possible of those that failed longest ago are allowed. What is found with fewer is
-    # found with more, so that halving finds them: thousands may have died with one bridge.
-    too_few, enough = 0, len(failed)
-    while enough - too_few > 1:
-        middle = (too_few + enough) // 2
-        with_fewer = found_without(first=middle)
-        if with_fewer is None:
-            too_few = middle
-        else:
-            found, enough = with_fewer, middle
-    return found
-
-
-def _find(plan: Plan, output: str | None, excluded: frozenset[str], resolve: Resolve) -> Plan:
-    unfit: list[str] = []
-    for _ in range(_TRIES):
-        try:
-            found = resolve(plan.function, excluded)
-        except ResolutionError as error:
-            raise ResolutionError("\n".join([*unfit, str(error)])) from error
-        difference = _difference(plan, found, output)
-        if not difference:
-            return found
-        name = found.provider.component.name
-        unfit.append(f"component {name!r} is no replacement: {difference}")
-        excluded |= {name}
-    raise ResolutionError("\n".join(unfit))
-
-
-def _difference(dead: Plan, plan: Plan, output: str | None) -> str:
-    """Say what the application would notice, or nothing."""
-    old, new = dead.provider, plan.provider
-    if output is not None:
-        found = new.structures.get(f"output.{output}")
-        if found is None:
-            return f"it has no output {output!r}"
-        text = _refusal(found, old.structures[f"output.{output}"])
-        if text:
-            return f"its output {output!r} is another: {text}"
-    taken = {port.name for port in new.component.inputs if port.source is None}
-    for port in old.component.inputs:
-        if port.source is not None:
-            continue
-        if port.name not in taken:
-            return f"it has no input {port.name!r} for the application"
-        key = f"input.{port.name}"
-        text = _refusal(old.structures[key], new.structures[key])
-        if text:
-            return f"its input {port.name!r} is another: {text}"
-    return ""
-
-
-def _refusal(producer: MessageStructure, consumer: MessageStructure) -> str:
-    if producer == consumer:
-        return ""
-    verdict = check_edge(producer, consumer)
-    if verdict.compatible:
-        return ""
-    return "; ".join(
-        f"{reason.path or 'message'}: {reason.sentence}" for reason in verdict.reasons[:3]
-    )
-
 
 _KEPT = 100
 _LEAST = 2  # the one in force, and the one to go back to
@@ -272,7 +169,7 @@ class Revision:
         """Return those of some components that plans of a function may have."""
         reach = self._reach.get(function)
         if reach is None:
-            reach = self._reach[function] = _reach(self.robot.functions, function)
+            reach = self._reach[function] = reachable_components(self.robot.functions, function)
         return frozenset(name for name in reach if name in components)
 
     def forget_within(self, function: str, components: Collection[str]) -> None:
@@ -284,20 +181,6 @@ class Revision:
         for component in components:
             self.structures.forget(component)
         self.resolver.invalidate(frozenset(components))
-
-
-def _reach(functions: Mapping[str, Function], name: str) -> frozenset[str]:
-    """Return the names of all components that a plan of a function may have."""
-    found: set[str] = set()
-    seen, sought = {name}, [name]
-    while sought:
-        function = functions.get(sought.pop())
-        for component in () if function is None else function.components:
-            found.add(component.name)
-            sources = {port.source.function for port in component.inputs if port.source is not None}
-            sought += sources - seen
-            seen |= sources
-    return frozenset(found)
 
 
 @frozen(eq=False)
@@ -413,7 +296,7 @@ class Revisions:
         before = self.current
         base = without_candidates(base)
         guard = _guard(base, self._notify, before.guard)
-        robot = _with_candidates_of(before.robot, base)
+        robot = carry_candidates(before.robot, base)
         difference = compare(before.robot, robot)
         try:
             bridges = self._bridges.stage(robot.bridges, robot.hosts)
@@ -537,29 +420,6 @@ def _guard(
 
 def _hold(guard: _lock.LockGuard | None) -> Hold | None:
     return None if guard is None else guard.hold
-
-
-def _with_candidates_of(before: Robot, base: Robot) -> Robot:
-    """Return a configuration with the candidates of another that may be its own, too."""
-    functions = dict(base.functions)
-    for name, function in base.functions.items():
-        old = before.functions.get(name)
-        if function.needs is None or old is None or old.needs != function.needs:
-            continue
-        still = tuple(
-            component
-            for component in old.components
-            if component.match is not None
-            and before.bridges.get(component.bridge) == base.bridges.get(component.bridge)
-            and all(
-                input_.source is None or input_.source.function in functions
-                for input_ in component.inputs
-            )
-        )
-        functions[name] = evolve(
-            function, components=(*function.components, *still), passed_over=old.passed_over
-        )
-    return evolve(base, functions=functions)
 
 
 def _cut(robot: Robot, bridges: frozenset[str]) -> frozenset[str]:

@@ -173,7 +173,7 @@ class OfferedFunction:
     def broken(self) -> str | None:
         """Why a connection behind it has ended that should not have; None while there is none."""
         for connection in self._connections:
-            is_killed = connection._is_killed  # noqa: SLF001 - within the control plane
+            is_killed = connection._is_killed  # noqa: SLF001 - the manager's own
             if connection.ended and (connection.state is ConnectionState.FAILED or is_killed):
                 return str(connection.cause or "its connection was killed")
         return None

@@ -10,8 +10,8 @@ from functools import partial
 
 from attrs import define, field, frozen
 
-from uoarm._control.live.component import LiveComponent
 from uoarm._dataplane import Clock, Inbox, Outlet, Route, make_check
+from uoarm._parts._component import LiveComponent
 from uoarm._raised import text_of
 from uoarm.bridge import boot_seconds
 from uoarm.errors import (

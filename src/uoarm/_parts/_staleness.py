@@ -8,8 +8,8 @@ from typing import TypeAlias
 
 from attrs import define, field
 
-from uoarm._control.live.component import LiveComponent, LiveEdge
 from uoarm._dataplane import Clock, Route
+from uoarm._parts._component import LiveComponent, LiveEdge
 from uoarm.bridge import HealthEvent
 from uoarm.model import Expectation, Health
 
