@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 from collections.abc import Callable, Sequence
@@ -29,10 +30,14 @@ FROZEN_SECONDS = 3 * slowness()  # for which what opens waits for a frozen node
 SILENT_SECONDS = 3.0
 CUT_SHORT = b"\0\1\0\0\1\2\3"  # serialised, little endian: three octets of a field
 SERVICE = "test_msgs/srv/BasicTypes"
+NAMES = itertools.count()
 
 
 class RosWorld(World):
-    """Topics of this domain, and the nodes of other processes.
+    """Topics of its own, and the nodes of other processes.
+
+    What the node of every test still sends when a test ends reaches no other one, since each world
+    has names of its own.
 
     Args:
         lasting: a node that serves every test.
@@ -46,12 +51,14 @@ class RosWorld(World):
         self._start = start
         self._breaks = breaks
         self._breakable: Peer | None = None
+        self._at = f"/world{next(NAMES)}"
+        self._echoes = False
 
     def spec(self) -> BridgeSpec:
         return BridgeSpec("ros", "ros2", {"domain_id": DOMAIN, "wait": WAIT_SECONDS})
 
     def pair(self, kind: str) -> Pair:
-        topic, native = f"/conformance/{kind}", KINDS[kind]
+        topic, native = f"{self._at}/{kind}", KINDS[kind]
         if kind == "echoed" and self._breaks:
             if self._breakable is None:
                 self._breakable = self._start("breakable", "threads", **MORTAL_CALM)
@@ -61,7 +68,11 @@ class RosWorld(World):
                 at(Role.OUTPUT, "/echoed_again", native, wait=FROZEN_SECONDS),
             )
         if kind == "echoed":
-            return Pair(there(Role.INPUT, "/asked", native), there(Role.OUTPUT, "/echoed", native))
+            asked = f"{self._at}/asked"
+            if not self._echoes:
+                self._lasting.do("echo", come=asked, go=topic)
+                self._echoes = True
+            return Pair(there(Role.INPUT, asked, native), there(Role.OUTPUT, topic, native))
         qos = {"depth": 100}  # a burst is longer than what is kept of pictures by default
         return Pair(
             at(Role.INPUT, topic, native, peer="optional", qos=qos),
@@ -74,8 +85,14 @@ class RosWorld(World):
     def await_receivers(self, kind: str, count: int) -> None:
         """DDS reports readers to a writer, and to a reader nothing of what its writers know."""
         if kind == "echoed" and not self._breaks:
-            reports = self._lasting.do("subscriptions", topic="/echoed", expected=count)
+            topic = self.pair(kind).source.address[0]
+            reports = self._lasting.do("subscriptions", topic=topic, expected=count)
             assert reports["count"] == count
+
+    def close(self) -> None:
+        """End what the lasting node does for this world."""
+        if self._echoes:
+            self._lasting.do("end_echo", come=f"{self._at}/asked")
 
     def carried(self, kind: str, message: Message) -> Message:
         return rounded(KINDS[kind], message)
@@ -119,7 +136,7 @@ class RosWorld(World):
         self._breakable.thaw()
 
     def unreadable(self, kind: str) -> Callable[[], object]:
-        topic = "/echoed" if kind == "echoed" else f"/conformance/{kind}"
+        topic = f"{self._at}/{kind}"
         self._lasting.do("advertise_octets", topic=topic, native=KINDS[kind])
 
         def emit() -> None:

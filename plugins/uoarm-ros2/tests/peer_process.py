@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -88,6 +89,7 @@ class Doer:
     def __init__(self, node: Any) -> None:
         self.node = node
         self.publishers: dict[str, Any] = {}
+        self.echoes: dict[str, Callable[[], None]] = {}
         self.latched: set[str] = set()
         self.octets: dict[str, Any] = {}
         self.seen: dict[str, list[Any]] = {}
@@ -298,14 +300,32 @@ class Doer:
         everything = profile(history="keep_all")
         publisher = self.node.create_publisher(PoseStamped, go, everything)
         self.publishers[go] = publisher
+        ended, publishing = threading.Event(), threading.Lock()
 
         def pass_on(message: Any) -> None:
             deadline = time.monotonic() + PATIENCE
-            while not publisher.get_subscription_count() and time.monotonic() < deadline:
+            while True:
+                with publishing:  # `end_echo` destroys the publisher from another thread
+                    if ended.is_set():
+                        return
+                    if publisher.get_subscription_count() or time.monotonic() > deadline:
+                        publisher.publish(message)
+                        return
                 time.sleep(0.001)
-            publisher.publish(message)
 
-        self.node.create_subscription(PoseStamped, come, pass_on, everything)
+        subscription = self.node.create_subscription(PoseStamped, come, pass_on, everything)
+
+        def end() -> None:
+            self.node.destroy_subscription(subscription)
+            with publishing:
+                ended.set()
+                self.node.destroy_publisher(self.publishers.pop(go))
+
+        self.echoes[come] = end
+        return {}
+
+    def end_echo(self, come: str) -> dict[str, Any]:
+        self.echoes.pop(come)()
         return {}
 
     def pass_on(self, come: str, go: str, kind: str) -> dict[str, Any]:

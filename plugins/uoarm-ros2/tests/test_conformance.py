@@ -16,9 +16,8 @@ from uoarm.testing.conformance import BridgeConformance, World
 
 @pytest.fixture(scope="module")
 def lasting() -> Iterator[Peer]:
-    """One node for every test: it echoes a topic and serves."""
+    """One node for every test: it echoes topics and serves."""
     node = Peer("lasting", {"ROS_DOMAIN_ID": str(DOMAIN)}, "threads")
-    node.do("echo", come="/asked", go="/echoed")
     node.do("serve", name="/add")
     node.do("serve", name="/silent", delay=SILENT_SECONDS)
     yield node
@@ -33,9 +32,12 @@ class TestRos2Bridge(BridgeConformance):
     @pytest.fixture
     def world(
         self, lasting: Peer, peer: Callable[..., Peer], request: pytest.FixtureRequest
-    ) -> World:
+    ) -> Iterator[World]:
         # Of the kit's tests, those of one class break the world: they get a node to freeze.
-        return RosWorld(lasting, peer, breaks=request.function.__qualname__.startswith("Breaking."))
+        breaks = request.function.__qualname__.startswith("Breaking.")
+        made = RosWorld(lasting, peer, breaks=breaks)
+        yield made
+        made.close()
 
 
 HOSTS = importlib.util.find_spec("zenoh") is not None

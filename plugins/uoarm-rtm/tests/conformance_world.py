@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 from collections.abc import Callable, Sequence
@@ -33,6 +34,7 @@ KINDS = {
     "buffered": "IDL:RTC/TimedLong:1.0",
     "pulled": "IDL:RTC/TimedLong:1.0",
 }
+NUMBERS = itertools.count()
 # Of the two last kinds: a buffer of ours before the InPort, so that `send` waits for nothing; and
 # InPorts that ask for each message, both ways.
 LONG_BUFFER = {"length": 10_000, "empty_policy": "do_nothing"}
@@ -49,7 +51,10 @@ def types() -> Types:
 
 
 class RtmWorld(World):
-    """Ports of a component in another process.
+    """Ports of its own, of a component in another process.
+
+    What that component still sends when a test ends reaches no other one, since each world has
+    ports of its own.
 
     Args:
         nameserver: of all components.
@@ -61,6 +66,13 @@ class RtmWorld(World):
         self._nameserver = nameserver
         self._loop = loop
         self._start = start
+        self._number = next(NUMBERS)
+        self._loops: set[str] = set()
+
+    def close(self) -> None:
+        """Remove the ports of this world."""
+        for name in self._loops:
+            self._loop.end_loop(name)
 
     def spec(self) -> BridgeSpec:
         limits = {"watch": 0.1, "call_timeout": ANSWERS}
@@ -68,8 +80,19 @@ class RtmWorld(World):
         return BridgeSpec("rtm", "rtm", options, {})
 
     def pair(self, kind: str) -> Pair:
-        into = at(Role.INPUT, f"{kind}_in", **OPTIONS.get(kind, {}))
-        return Pair(into, at(Role.OUTPUT, f"{kind}_out", **(PULLED if kind == "pulled" else {})))
+        name = self._name(kind)
+        if name not in self._loops:
+            self._loops.add(name)
+            self._begin(name)
+        into = at(Role.INPUT, f"{name}_in", **OPTIONS.get(kind, {}))
+        return Pair(into, at(Role.OUTPUT, f"{name}_out", **(PULLED if kind == "pulled" else {})))
+
+    def _name(self, kind: str) -> str:
+        return f"{kind}{self._number}"
+
+    def _begin(self, name: str) -> None:
+        kind = name.removesuffix(str(self._number))
+        self._loop.loop(name, KINDS[kind], PULLED["rate"] if kind == "pulled" else 0.0)
 
     def missing(self) -> Endpoint:
         return Endpoint("rtm", "missing", Role.OUTPUT, ("Missing.rtc", "out"))
@@ -121,9 +144,11 @@ class RtmWorld(World):
     def mended(self) -> None:
         self._loop.appear()
         begin_loop(self._loop)
+        for name in self._loops:
+            self._begin(name)
 
     def unreadable(self, kind: str) -> Callable[[], object]:
-        return lambda: self._loop.emit_octets(kind, "ff")
+        return lambda: self._loop.emit_octets(self._name(kind), "ff")
 
     def served(self) -> Served:
         request = {"target": {"x": 0.5, "y": 0.0}, "steps": 3}
@@ -148,13 +173,11 @@ class RtmWorld(World):
         return offered, called
 
     def linkable(self) -> Pair:
-        return Pair(at(Role.INPUT, "long_in"), at(Role.OUTPUT, "long_out"))
+        return self.pair("long")
 
 
 def begin_loop(component: Peer) -> None:
-    """Give a component the ports of all pairs and the service."""
-    for name, type_id in KINDS.items():
-        component.loop(name, type_id, PULLED["rate"] if name == "pulled" else 0.0)
+    """Give a component the service, and activate it."""
     component.provide(IDL, "Mover")
     component.activate()
 

@@ -18,7 +18,7 @@ from _uoarm_rtm_stubs import RTC, OpenRTM, SDOPackage
 from endpoints import HANGS_AFTER
 from plain import plain
 from uoarm_rtm import _data_ports
-from uoarm_rtm._data_ports import OutPort
+from uoarm_rtm._data_ports import InPort, OutPort
 from uoarm_rtm._dataflow import PullBuffer
 from uoarm_rtm._descriptors import IdlInterface
 from uoarm_rtm._naming import NamingService
@@ -128,7 +128,7 @@ class Process:
         self._observers: dict[str, Any] = {}
         self._asked_to_observe = 0
         self._service = _Service()
-        self._loops: dict[str, tuple[OutPort, queue.Queue[Any]]] = {}
+        self._loops: dict[str, tuple[InPort, OutPort, queue.Queue[Any]]] = {}
         callbacks = Callbacks(
             activated=lambda: self._called("activated"),
             deactivated=lambda: self._called("deactivated"),
@@ -387,8 +387,8 @@ class Process:
         """
         out = self._component.add_out_port(f"{name}_out", type_id, self._types)
         waiting: queue.Queue[Any] = queue.Queue(100)
-        self._component.add_in_port(f"{name}_in", type_id, self._types, waiting.put, rate)
-        self._loops[name] = out, waiting
+        into = self._component.add_in_port(f"{name}_in", type_id, self._types, waiting.put, rate)
+        self._loops[name] = into, out, waiting
 
         def forward() -> None:
             while (message := waiting.get()) is not None:
@@ -396,15 +396,22 @@ class Process:
 
         threading.Thread(target=forward, daemon=True).start()
 
+    def end_loop(self, name: str) -> None:
+        """Remove the ports of a loop, with what has not gone out yet."""
+        into, out, waiting = self._loops.pop(name)
+        for port in (into, out):
+            self._component.remove_port(port)
+        waiting.put(None)
+
     def emit_octets(self, name: str, digits: str) -> None:
         """Send octets as they are, given in hexadecimal digits, through `NAME_out`."""
-        out, _ = self._loops[name]
+        _, out, _ = self._loops[name]
         for outlet in list(getattr(out, "_outlets").values()):  # noqa: B009 - private
             outlet.writer.write(bytes.fromhex(digits))
 
     def vanish(self) -> None:
         """Be gone at once, as when the process is killed: neither name nor connections end."""
-        for _, waiting in self._loops.values():
+        for _, _, waiting in self._loops.values():
             waiting.put(None)
         self.wake()
         self._orb.close()

@@ -23,6 +23,18 @@ def loop(nameserver: str) -> Iterator[Peer]:
     component.end()
 
 
+class TestRtmBridge(BridgeConformance):
+    """The whole suite."""
+
+    kinds = tuple(KINDS)
+
+    @pytest.fixture
+    def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> Iterator[World]:
+        made = RtmWorld(nameserver, loop, peer)
+        yield made
+        made.close()
+
+
 HOSTS = importlib.util.find_spec("zenoh") is not None
 
 
@@ -33,21 +45,7 @@ def shared(loop: Peer, nameserver: str) -> Iterator[Bridge]:
 
 
 @pytest.mark.skipif(not HOSTS, reason="needs uoarm[hosts]")
-class TestHostedRtmBridge(SharesHost, BridgeConformance):  # type: ignore[misc]
+class TestHostedRtmBridge(SharesHost, TestRtmBridge):  # type: ignore[misc]
     """The suite through a bridge host, whose link has its own tests: two kinds are enough."""
 
     kinds = ("ranges", "text")
-
-    @pytest.fixture
-    def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:
-        return RtmWorld(nameserver, loop, peer)
-
-
-class TestRtmBridge(BridgeConformance):
-    """The whole suite."""
-
-    kinds = tuple(KINDS)
-
-    @pytest.fixture
-    def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:
-        return RtmWorld(nameserver, loop, peer)

@@ -268,7 +268,11 @@ class World(ABC):
 
     @abstractmethod
     def pair(self, kind: str) -> Pair:
-        """Return the pair of one of the test class's `kinds`, the same for every call."""
+        """Return the pair of one of the test class's `kinds`, the same for every call.
+
+        What lasts longer than a test, such as a node that sends back what comes, needs other names
+        for each world: what it still sends when a test ends would reach the next one.
+        """
 
     @abstractmethod
     def missing(self) -> Endpoint:
