@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
 import functools
 import os
 import re
-import ssl
 import sys
 from collections.abc import Awaitable, Callable, Mapping
 from datetime import datetime, timezone
-from http import HTTPStatus
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 from urllib.parse import urlsplit
 
 import click
@@ -21,11 +18,13 @@ from attrs import field, fields_dict, frozen
 from uoarm import errors
 from uoarm._raised import text_of
 from uoarm._support.files import UnreadableFileError, read_text
-from uoarm._support.tls import client_context, show_certificate
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._output import echo
 from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting
 from uoarm.model import write_json
+
+if TYPE_CHECKING:
+    import ssl
 
 __all__ = ["Remote", "apply", "approve", "asked", "history", "remote_options", "stop"]
 
@@ -56,6 +55,8 @@ class Remote:
 
     def tls(self) -> ssl.SSLContext | None:
         """Return what TLS needs beyond the system's authorities; blocks for a fingerprint."""
+        from uoarm._support.tls import client_context, show_certificate  # noqa: PLC0415 - if needed
+
         context = None
         if self.fingerprint is not None:
             from uoarm.client import trust_fingerprint  # noqa: PLC0415 - needs an extra
@@ -101,7 +102,7 @@ def remote_options(*, always: bool) -> Callable[[_Command], _Command]:
             server = None if given["url"] is None else _checked(Remote(**given))
             return command(*arguments, server=server, **options)
 
-        use = "." if always else f", {_HERE} or wss://: show what runs."
+        use = "." if always else f", {_HERE} or wss://: ask it, in place of FILE."
         address = click.option(
             "--url",
             default=_HERE if always else None,
@@ -138,6 +139,8 @@ def asked(server: Remote, work: Callable[[Any], Awaitable[Any]], *, watches: boo
         work: asks it.
         watches: whether Ctrl-C is how this ends: the exit code is 0 then.
     """
+    import asyncio  # noqa: PLC0415 - when first needed
+
     with reporting(), needing("server"):
         from uoarm.client import connect  # noqa: PLC0415 - needs an extra
 
@@ -161,6 +164,9 @@ def asked(server: Remote, work: Callable[[Any], Awaitable[Any]], *, watches: boo
 
 def _cause(error: Exception) -> str:
     """Say why a server was not reached, in words that need no knowledge of sockets."""
+    import ssl  # noqa: PLC0415 - when first needed
+    from http import HTTPStatus  # noqa: PLC0415 - when first needed
+
     if isinstance(error, ConnectionRefusedError):
         return "nothing listens there: is uoarm serve running?"
     if isinstance(error, TimeoutError):

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import click
 from rich.console import Console
@@ -20,6 +21,7 @@ from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMod
 from uoarm.cli._file import takes_configuration
 from uoarm.cli._log import leaving_out
 from uoarm.cli._output import echo, output
+from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
@@ -31,6 +33,7 @@ from uoarm.cli._shared import (
     open_robot,
     plain,
     print_warning,
+    reporting,
 )
 from uoarm.errors import MessageError, UsageError
 from uoarm.model import (
@@ -67,11 +70,13 @@ _FAILING = frozenset({"failed", "invalid", "unreadable"})
     show_default=True,
     help="How many messages are checked against their structure.",
 )
+@remote_options(always=False)
 @json_option
 def request(
     name: str,
     file: str,
     *,
+    server: Remote | None,
     count: int | None,
     duration: float | None,
     validate: str,
@@ -85,7 +90,12 @@ def request(
     without an output has no messages to show and runs until the same end. While no message comes,
     components that raise are named on stderr; when the flow fails, or fewer messages came than
     asked for since others failed or did not match, the exit code is 4 and the last line says why.
+
+    With --url the robot that runs there opens it, or shares what it has open; there is no table.
     """
+    if server is not None:
+        _request_there(server, name, count, duration, validate=validate, as_json=as_json)
+        return
     with (
         leaving_out(_Repeated(_DEATH)),  # until the manager is closed, which writes what is left
         open_robot(file) as robot,
@@ -117,17 +127,77 @@ def request(
     show_default=True,
     help="Seconds that the reply may take.",
 )
-def call(name: str, message: str, file: str, *, timeout: float) -> None:
+@remote_options(always=False)
+def call(name: str, message: str, file: str, *, server: Remote | None, timeout: float) -> None:
     """Call the service NAME and print its reply.
 
-    MESSAGE is JSON, and so is what is printed.
+    MESSAGE is JSON, and so is what is printed. With --url, of the robot that runs there.
     """
     try:
-        asked = read_json(message)
+        sent = read_json(message)
     except ValueError as error:
         raise click.BadParameter(f"not JSON: {error}", param_hint="MESSAGE") from error
+    if server is not None:
+        reply = asked(server, lambda robot: robot.call(name, sent, timeout=timeout))
+        with reporting():
+            echo(_text_of(reply))
+        return
     with open_robot(file) as robot:
-        echo(_text_of(robot.call(name, asked, timeout=timeout)))
+        echo(_text_of(robot.call(name, sent, timeout=timeout)))
+
+
+def _request_there(
+    server: Remote,
+    name: str,
+    count: int | None,
+    duration: float | None,
+    *,
+    validate: str,
+    as_json: bool,
+) -> None:
+    """Print messages of a function of a robot that is served; exits as `request` says."""
+    is_live = output().isatty() and not as_json
+    console, limit, said = Console(file=output(), highlight=False), _LineLimit(), set[str]()
+
+    async def show(robot: Any) -> str:
+        listed = {function["name"]: function for function in await robot.functions()}
+        function = listed.get(name.partition(".")[0])
+        if function is not None and function["service"]:
+            raise UsageError(f"function {name!r} is a service: use call, not request")
+        stream = await robot.request(name, validate=validate)
+        for warning in stream.warnings:
+            print_warning(warning)
+        if function is not None and not function["outputs"]:
+            click.echo(f"{name} runs, and has no output to show", err=True)
+        deadline = None if duration is None else time.monotonic() + duration
+        while count is None or limit.messages < count:
+            left = 1.0 if deadline is None else min(1.0, deadline - time.monotonic())
+            if left <= 0:
+                break
+            try:
+                message = await stream.get(left)
+            except TimeoutError as error:
+                why = str(error).partition("; ")[2]
+                if why and why not in said:
+                    said.add(why)
+                    print_warning(why)
+                continue
+            except ConnectionClosedError:
+                break
+            has_line = limit.has_line()
+            if not is_live:
+                echo(_text_of(message))
+            elif has_line:
+                _print_line(console, message)
+        if stream.lost:
+            print_warning(f"{stream.lost:,} messages were lost on the way here")
+        return stream.cause if stream.state == "failed" else ""
+
+    failure = asked(server, show)
+    if is_live and limit.hidden:
+        click.echo(str(limit), err=True)
+    if failure:
+        fail(failure, BRIDGE, "UOA-805")
 
 
 def _text_of(message: Message, most: int | None = None) -> str:
@@ -304,8 +374,13 @@ def _show_live(robot: RobotManager, connection: Connection, messages: Iterable[M
     with Live(get_renderable=table, console=console, refresh_per_second=period):
         for message in messages:
             if shown.has_line():
-                line = _text_of(message, _ITEMS)[: console.width + 1]
-                console.print(Text(line), no_wrap=True, overflow="ellipsis")
+                _print_line(console, message)
+
+
+def _print_line(console: Console, message: Message) -> None:
+    """Print what of a message one line of a terminal has room for."""
+    line = _text_of(message, _ITEMS)[: console.width + 1]
+    console.print(Text(line), no_wrap=True, overflow="ellipsis")
 
 
 def _routes(robot: RobotManager, connection: Connection) -> tuple[RouteStatus, ...]:

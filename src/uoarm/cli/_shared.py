@@ -89,6 +89,9 @@ class FunctionArgument(click.Argument):
 
     def missing(self, context: click.Context, file: str) -> click.UsageError:
         """Return the error that no name was given: it says which there are."""
+        if context.params.get("url"):
+            text = f"uoarm list --url {context.params['url']} says which there are"
+            return click.MissingParameter(text, ctx=context, param=self)
         try:
             names = self._names(file)
         except errors.UoarmError as error:

@@ -21,6 +21,7 @@ from uoarm._version import __version__
 from uoarm.bridge import Registry
 from uoarm.cli._file import DefaultConfiguration, takes_configuration
 from uoarm.cli._output import echo
+from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
@@ -116,18 +117,40 @@ def _say_that_it_takes_a_while(file: str) -> None:
 
 @click.command("list")
 @takes_configuration()
+@remote_options(always=False)
 @json_option
-def list_functions(file: str, *, as_json: bool) -> None:
-    """List the functions and the components that provide them."""
+def list_functions(file: str, *, server: Remote | None, as_json: bool) -> None:
+    """List the functions and the components that provide them.
+
+    With --url those of the robot that runs there which the token's role may see.
+    """
+    if server is not None:
+        functions = asked(server, lambda robot: robot.functions())
+        if as_json:
+            print_json(functions)
+            return
+        for function in functions:
+            echo(_heading(function["name"], function["description"]))
+            for component in function["components"]:
+                echo(_candidate(**component))
+        return
     with reporting():
         robot = load(file)
     if as_json:
         print_json(robot.functions)
         return
     for function in robot.functions.values():
-        echo(click.style(function.name, bold=True) + f"  {function.description}".rstrip())
+        echo(_heading(function.name, function.description))
         for component in function.components:
-            echo(f"  {component.priority:>4}  {component.name}  ({component.bridge})")
+            echo(_candidate(component.name, component.bridge, component.priority))
+
+
+def _heading(name: str, description: str) -> str:
+    return click.style(name, bold=True) + f"  {description}".rstrip()
+
+
+def _candidate(name: str, bridge: str, priority: int, **_: object) -> str:
+    return f"  {priority:>4}  {name}  ({bridge})"
 
 
 @contextmanager
@@ -157,11 +180,25 @@ def _saying_that_it_waits(timeout: float) -> Iterator[None]:
     show_default=True,
     help="Seconds to start bridges, learn what they see and find the plan.",
 )
+@remote_options(always=False)
 @json_option
-def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: bool) -> None:
-    """Find the plan for a function without opening anything."""
+def resolve(
+    name: str, file: str, *, server: Remote | None, explain: bool, timeout: float, as_json: bool
+) -> None:
+    """Find the plan for a function without opening anything.
+
+    With --url the one that the robot that runs there would open.
+    """
     from uoarm._resolve import NoPlanError  # noqa: PLC0415 - when first needed
 
+    if server is not None:
+        answer = asked(server, lambda robot: robot.resolve(name))
+        if as_json:
+            print_json(answer["plan"])
+        else:
+            steps = (step["component"]["name"] for step in answer["plan"]["steps"])
+            echo(answer["text"] if explain else " -> ".join(steps))
+        return
     with open_robot(file) as robot:
         try:
             with _saying_that_it_waits(timeout):
