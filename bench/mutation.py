@@ -70,7 +70,7 @@ SUBJECTS = {
             "tests/control/test_every_order.py",
         ),
         "not greater_depth and not TestWalk",
-        ("step", "draft", "failover", "switchover", "state"),
+        ("step", "draft", "failover", "leaving", "switchover", "state"),
     ),
 }
 _OUTCOMES = {

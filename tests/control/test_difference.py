@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from tests.control.world import FACE, Plans, World
+from tests.control.world import FACE, Plans, World, desired
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.move import MovePhase
 from uoarm._control.engine.placement import Kind
 from uoarm._control.engine.state import State
-from uoarm._control.engine.step import desired, difference, step
+from uoarm._control.engine.step import difference, step
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import ConnectionState, FailoverPolicy, PortRef, ValidationMode
 

@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import pytest
 from attrs import define, field
+from tests.control.event_log import read_event
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
@@ -230,4 +231,4 @@ def test_offers_in_a_log_are_read_back() -> None:
         ev.OfferReported("net:arm", 3, Health.LOST, "it fell over"),
     ):
         line = ev.write_event(event, 1.5)
-        assert ev.read_event(line, lambda *_: pytest.fail("there is no plan")) == (event, 1.5)
+        assert read_event(line, lambda *_: pytest.fail("there is no plan")) == (event, 1.5)

@@ -14,8 +14,8 @@ from uoarm import RobotManager
 from uoarm._control.engine.move import forget_earlier
 from uoarm._control.engine.state import listed
 from uoarm._control.live import parts
+from uoarm._control.live.listeners import EventDispatcher
 from uoarm._control.live.revisions import Revision
-from uoarm._control.robot_view import EventDispatcher
 from uoarm._support.ordered import OrderedMap, keep_newest
 from uoarm._support.workers import Job
 from uoarm.config import loads

@@ -13,6 +13,7 @@ from http import HTTPStatus
 from pathlib import Path
 
 import pytest
+from tests.control.event_log import read_event
 from tests.control.world import FACE, Plans
 
 import uoarm
@@ -20,7 +21,7 @@ from uoarm import RobotManager
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import InputInUseError
-from uoarm._control.engine.events import read_event, write_event
+from uoarm._control.engine.events import write_event
 from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
 from uoarm._control.live import driver

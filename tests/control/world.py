@@ -19,7 +19,7 @@ from uoarm._control.engine.draft import connection_of
 from uoarm._control.engine.move import MovePhase, MoveReason
 from uoarm._control.engine.placement import Kind, Part, Parts, Placement
 from uoarm._control.engine.state import ConnectionRecord, State
-from uoarm._control.engine.step import desired, difference, step
+from uoarm._control.engine.step import difference, step
 from uoarm._resolve import Resolver, StructureCache, find_replacement
 from uoarm.config import compare, loads
 from uoarm.errors import BridgeError, ResolutionError
@@ -36,7 +36,7 @@ from uoarm.model import (
 )
 from uoarm.testing import MemoryBridge
 
-__all__ = ["FACE", "NAME", "OTHERS", "PORTS", "Plans", "World", "discovered"]
+__all__ = ["FACE", "NAME", "OTHERS", "PORTS", "Plans", "World", "desired", "discovered"]
 
 NUMBER: Any = {"type": "integer"}
 FACE = """
@@ -109,6 +109,19 @@ _EYE = "      - {name: eye, bridge: one, priority: 0, output: {endpoint: [eye]}}
 def discovered(text: str) -> str:
     """Return a configuration with a camera that was discovered, behind those that are named."""
     return text.replace("  face:\n", f"{_EYE}  face:\n", 1)
+
+
+def desired(state: State) -> frozenset[Part]:
+    """Return what should be open: the plans that run or are to, and components that drain.
+
+    What was lost is among it until its connection moves or ends: its losses are counted then. The
+    tables of the state say who uses what of this.
+    """
+    plans = (plan for record in state.connections.values() for plan in record.plans)
+    parts = {part for plan in plans for part in plan.parts}
+    # Of a plan that was replaced the edges are closed at once, the components when all has arrived.
+    ending = (plan.placement.components.values() for plan in state.draining.values())
+    return frozenset(parts.union(Part(Kind.COMPONENT, id_) for ids in ending for id_ in ids))
 
 
 class Plans:

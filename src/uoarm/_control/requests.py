@@ -15,6 +15,7 @@ from uoarm._control.engine.events import Requested
 from uoarm._control.engine.move import recently
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.driver import Driver
+from uoarm._control.live.listeners import EventDispatcher
 from uoarm._control.live.revisions import Revision, Revisions
 from uoarm._dataplane import Clock, FailureWatch, make_check
 from uoarm._hints.applications import MessageType, as_message
@@ -52,7 +53,7 @@ class Requests:
 
     Args:
         candidates: of functions with needs; the first round of discovery is waited for.
-        announce: takes what a callback raises, for listeners.
+        events: where what a callback raises is reported.
     """
 
     def __init__(
@@ -60,13 +61,13 @@ class Requests:
         revisions: Revisions,
         driver: Driver,
         candidates: CandidateWatch,
-        announce: Callable[[str, str, str], None],
+        events: EventDispatcher,
         clock: Clock,
     ) -> None:
         self._revisions = revisions
         self._driver = driver
         self._candidates = candidates
-        self._announce = announce
+        self._events = events
         self._clock = clock
         self._numbers = itertools.count(1)
 
@@ -101,7 +102,7 @@ class Requests:
         wanted_type = self._typed(as_type, name, left)
         revision = self._revisions.current
         identity = f"c{next(self._numbers)}"
-        report = partial(self._announce, f"connection {identity}", Health.DEGRADED.value)
+        report = partial(self._events.post, f"connection {identity}", Health.DEGRADED.value)
         runtime = ConnectionRuntime(identity, queue, report)
         if on_message is not None:
             take = on_message if wanted_type is None else wanted_type.callback(on_message)

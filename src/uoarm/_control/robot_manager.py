@@ -20,9 +20,10 @@ from uoarm._bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
 from uoarm._control.live.driver import Driver
+from uoarm._control.live.listeners import EventDispatcher
 from uoarm._control.live.revisions import Revisions
 from uoarm._control.requests import Requests, Services
-from uoarm._control.robot_view import EventDispatcher, RobotView
+from uoarm._control.robot_view import RobotView
 from uoarm._dataplane import Clock
 from uoarm._figures import observe
 from uoarm._hints.applications import MessageType, T
@@ -109,8 +110,7 @@ class RobotManager(RobotView):
         )
         self._driver = Driver(
             bridges=self._bridges,
-            announce=self._events.post,
-            listen=self._events.listen,
+            events=self._events,
             revisions=self._revisions,
             clock=clock,
             emergency_stop=EmergencyStop(
@@ -126,7 +126,7 @@ class RobotManager(RobotView):
             self._revisions, self._driver, self._bridges.get, self.registry.types, clock
         )
         self._requests = Requests(
-            self._revisions, self._driver, self._candidates, self._events.post, clock
+            self._revisions, self._driver, self._candidates, self._events, clock
         )
         self._services = Services(self._bridges, self._driver, clock)
         self._staleness = StalenessWatch(

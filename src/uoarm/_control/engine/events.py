@@ -3,24 +3,21 @@
 Frozen values without objects of bridges, so that a log of them can be kept and replayed: what
 happened in the field becomes a test by pasting its log. There a plan is written as its function and
 its components, by which it is found in the robot's configuration. An error is written as the name
-of its class, its text and, where it has one, its reason; it is read back as of that class, without
-the class's other attributes.
+of its class, its text and, where it has one, its reason.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from enum import Enum
-from functools import partial
-from typing import Any, TypeAlias, get_args
+from typing import TypeAlias
 
 import attrs
 from attrs import frozen
 
-from uoarm._control.engine.placement import Kind, Part
-from uoarm.errors import BridgeError, FailureReason, UoarmError
-from uoarm.model import FailoverPolicy, FailureLimits, Health, Plan, PortRef, Role, ValidationMode
+from uoarm._control.engine.placement import Part
+from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 
 __all__ = [
     "CandidatesChanged",
@@ -28,7 +25,6 @@ __all__ = [
     "Drained",
     "Ended",
     "Event",
-    "FindPlan",
     "HealthReported",
     "InputsSwitched",
     "Killed",
@@ -44,7 +40,6 @@ __all__ = [
     "Resolved",
     "Stopped",
     "TimeReached",
-    "read_event",
     "write_event",
 ]
 
@@ -213,7 +208,7 @@ class RanOut:
 class Ended:
     """Everything that only this connection used is closed."""
 
-    # Exactly one for each `Close` that ends a connection, whatever fails in it (`driver._end`): who
+    # Exactly one for each `Close` that ends a connection, whatever fails in it: who
     # waits for a kill waits for this.
     connection: str
 
@@ -340,33 +335,11 @@ Event: TypeAlias = (
     | CandidatesChanged
 )
 
-# All events, and no other class of any module: a line of a log can have nothing else made.
-_EVENTS: Mapping[str, Callable[..., Event]] = {kind.__name__: kind for kind in get_args(Event)}
-
-FindPlan = Callable[[str, tuple[str, ...]], Plan]
-"""Returns the plan of a function that consists of these components, producers first."""
-
 
 def write_event(event: Event, now: float) -> str:
     """Return an event as one line of JSON."""
     fields = {field.name: _plain(getattr(event, field.name)) for field in attrs.fields(type(event))}
     return json.dumps({"at": now, "event": type(event).__name__, **fields})
-
-
-def read_event(line: str, find_plan: FindPlan) -> tuple[Event, float]:
-    """Return the event of a line that `write_event` made, and its time.
-
-    Raises:
-        KeyError: there is no such event.
-    """
-    fields: dict[str, Any] = json.loads(line)
-    now, kind = fields.pop("at"), fields.pop("event")
-    readers: dict[str, Callable[[Any], object]] = {**_READERS, "plan": partial(_plan, find_plan)}
-    values = {
-        name: readers[name](value) if name in readers else value for name, value in fields.items()
-    }
-    # A log of an earlier version lacks fields that came later, and plays with their defaults.
-    return _EVENTS[kind](**values), now
 
 
 def _plain(value: object) -> object:
@@ -387,54 +360,3 @@ def _plain(value: object) -> object:
     if isinstance(value, FailoverPolicy):
         return attrs.asdict(value)
     return value
-
-
-def _plan(find_plan: FindPlan, words: list[str] | None) -> Plan | None:
-    return None if words is None else find_plan(words[0], tuple(words[1:]))
-
-
-def _error(value: list[str] | str | None) -> BaseException | str | None:
-    if not isinstance(value, list):  # of some events the text is all that was known
-        return value
-    name, text, *reason = value
-    kind = _error_class(name)
-    made = kind.__new__(kind)  # its own __init__ may want what the log does not have
-    made.args = (text,)
-    for word in reason:
-        vars(made)["reason"] = FailureReason(word) if isinstance(made, BridgeError) else word
-    return made
-
-
-def _error_class(name: str) -> type[BaseException]:
-    """Return the error of uoarm or of a plugin that has this name; a stand-in where there is none.
-
-    Only what is imported already is found: no line of a log has anything imported.
-    """
-    kinds: list[type[BaseException]] = [UoarmError]
-    for kind in kinds:
-        if kind.__name__ == name:
-            return kind
-        kinds += kind.__subclasses__()
-    return type(name, (Exception,), {})
-
-
-def _part(value: list[str] | str) -> object:
-    return value if isinstance(value, str) else (Role(value[0]), value[1])
-
-
-_READERS: Mapping[str, Callable[[Any], object]] = {
-    "wanted": lambda value: PortRef(*value),
-    "validate": ValidationMode,
-    "health": Health,
-    "error": _error,
-    "part": _part,
-    "done": lambda value: tuple(Part(Kind(kind), *rest) for kind, *rest in value),
-    "spared": frozenset,
-    "policy": lambda value: FailoverPolicy(
-        **{**value, "failing": FailureLimits(**value["failing"])}
-    ),
-    "superseded": frozenset,
-    "functions": frozenset,
-    "names": tuple,
-    "replaced": frozenset,
-}

@@ -3,8 +3,8 @@
 What should be open, and what remains to be done for it, are functions of the state alone. `step`
 applies an event, and takes of what remains what may be done now. Which plan is wanted is found
 outside, by a search whose result is an event. `step` touches no thread, clock, lock, log or bridge.
-Requests, openings and kills are here; `failover` has what happens when components die and how
-connections end, `switchover` how connections change to better plans, and to another configuration.
+Requests, openings and kills are here; `failover` has what happens when components die, `switchover`
+how connections change to better plans and to another configuration, `leaving` how they leave one.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine import failover, offers, switchover
 from uoarm._control.engine.draft import Draft, InputInUseError, by_age, connection_of
-from uoarm._control.engine.failover import end, finish_if_asked
+from uoarm._control.engine.leaving import end, finish_if_asked, hand_over
 from uoarm._control.engine.move import RULES, Move, MovePhase, MoveReason, OnOpenFailure
-from uoarm._control.engine.placement import Batch, Kind, Part, Placement
+from uoarm._control.engine.placement import Batch, Part, Placement
 from uoarm._control.engine.state import ConnectionRecord, State, oldest_first
 from uoarm.errors import (
     BridgeError,
@@ -32,7 +32,7 @@ from uoarm.errors import (
 )
 from uoarm.model import ConnectionState, Health, Plan, PortRef
 
-__all__ = ["Remaining", "desired", "difference", "step"]
+__all__ = ["Remaining", "difference", "step"]
 
 _CLOSED = "the robot manager is closed"
 
@@ -53,19 +53,6 @@ class Remaining(NamedTuple):
     batches: tuple[int, ...] = ()
     members: HashTrieSet[str] = HashTrieSet()
     is_begun: bool = False
-
-
-def desired(state: State) -> frozenset[Part]:
-    """Return what should be open: the plans that run or are to, and components that drain.
-
-    What was lost is among it until its connection moves or ends: its losses are counted then. The
-    tables of the state say who uses what of this.
-    """
-    plans = (plan for record in state.connections.values() for plan in record.plans)
-    parts = {part for plan in plans for part in plan.parts}
-    # Of a plan that was replaced the edges are closed at once, the components when all has arrived.
-    ending = (plan.placement.components.values() for plan in state.draining.values())
-    return frozenset(parts.union(Part(Kind.COMPONENT, id_) for ids in ending for id_ in ids))
 
 
 def difference(state: State, record: ConnectionRecord) -> tuple[Remaining, ...]:
@@ -146,7 +133,7 @@ def _proceed(draft: Draft) -> None:
         elif record.reason is MoveReason.REQUEST:
             _run(draft, record)
         else:
-            failover.hand_over(draft, record)
+            hand_over(draft, record)
 
 
 def _requested(draft: Draft, event: ev.Requested) -> None:

@@ -16,17 +16,8 @@ from rpds import HashTrieMap, HashTrieSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.draft import Draft, connection_of
-from uoarm._control.engine.failover import (
-    cancel_switchover,
-    death,
-    drop_next,
-    hand_over,
-    look_later,
-    look_soon,
-    replace,
-    seek,
-    seek_plan,
-)
+from uoarm._control.engine.failover import death, look_soon, replace, seek, seek_plan
+from uoarm._control.engine.leaving import cancel_switchover, drop_next, hand_over, look_later
 from uoarm._control.engine.move import RULES, Move, MovePhase, MoveReason
 from uoarm._control.engine.placement import EdgeRecord
 from uoarm._control.engine.state import ConnectionRecord, Switchover, listed, oldest_first

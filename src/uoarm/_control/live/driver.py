@@ -28,6 +28,7 @@ from uoarm._control.engine.placement import Part
 from uoarm._control.engine.state import State
 from uoarm._control.engine.step import step
 from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDelivery, record_takeover
+from uoarm._control.live.listeners import EventDispatcher
 from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.live.revisions import Revisions, StagedRevision
@@ -45,7 +46,7 @@ from uoarm._support.workers import Job, Lanes, Timer, WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.config import compare
 from uoarm.errors import BridgeTimeoutError, UoarmError
-from uoarm.model import Component, Health, Plan, Robot, StatusEvent
+from uoarm.model import Component, Health, Plan, Robot
 
 __all__ = ["Driver"]
 
@@ -62,8 +63,6 @@ class Driver:
     """Runs the control plane of one manager. All methods may be called from any thread.
 
     Args:
-        announce: takes a subject, a change, its cause and the function, for listeners.
-        listen: has a listener called for every change; returns what ends that.
         functions: where the functions of offers are requested.
 
     Attributes:
@@ -79,8 +78,7 @@ class Driver:
         self,
         *,
         bridges: BridgeSet,
-        announce: Callable[[str, str, str, str], None],
-        listen: Callable[[Callable[[StatusEvent], None]], Callable[[], None]],
+        events: EventDispatcher,
         revisions: Revisions,
         clock: Clock,
         emergency_stop: EmergencyStop,
@@ -89,13 +87,13 @@ class Driver:
         self._process = generation()
         robot = revisions.current.robot
         self.state = State(robot.failover, _bridges_of(robot.components()))
-        self.offers = Offers(self, revisions, functions, bridges, listen, clock)
-        self.live = LiveParts(self, bridges, clock, self._judged, emergency_stop, announce)
+        self.offers = Offers(self, revisions, functions, bridges, events, clock)
+        self.live = LiveParts(self, bridges, clock, self._judged, emergency_stop, events.post)
         self.deaths: dict[str, int] = {}
         self.takeovers: dict[str, int] = {}
         self._bridges = bridges
         self._revisions = revisions
-        self._announce_to_listeners = announce
+        self._announcements = events
         self._clock = clock
         self._events: deque[ev.Event] = deque()
         # Guards the state and the order of events: two owners would give `step` the same state.
@@ -480,7 +478,7 @@ class Driver:
         kind, _, name = action.subject.partition(" ")
         if kind == "component" and action.change == Health.LOST.value:
             keep_newest(self.deaths, name, self.deaths.get(name, 0) + 1)
-        self._announce_to_listeners(action.subject, action.change, action.cause, action.function)
+        self._announcements.post(action.subject, action.change, action.cause, action.function)
 
     def _hand_over(self, action: act.HandOver) -> None:
         function = action.after.plan.function

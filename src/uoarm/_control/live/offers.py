@@ -13,6 +13,7 @@ from uoarm._bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.state import OfferRecord
+from uoarm._control.live.listeners import EventDispatcher
 from uoarm._control.live.parts import StateOwner
 from uoarm._control.live.revisions import Revisions
 from uoarm._dataplane import Clock
@@ -36,7 +37,7 @@ class Offers:
     Args:
         owner: decides, and has `open` and `close` called in the lane of each offer.
         revisions: of the configuration; what the one in force offers is kept open.
-        listen: has changes reported, for what becomes of the connections behind offers.
+        events: listened to for what becomes of the connections behind offers.
     """
 
     def __init__(
@@ -45,14 +46,14 @@ class Offers:
         revisions: Revisions,
         functions: Functions,
         bridges: BridgeSet,
-        listen: Callable[[Callable[[StatusEvent], None]], Callable[[], None]],
+        events: EventDispatcher,
         clock: Clock,
     ) -> None:
         self._owner = owner
         self._revisions = revisions
         self._functions = functions
         self._bridges = bridges
-        self._listen = listen
+        self._events = events
         self._clock = clock
         # Guards what is wanted, up to its event: a change of configuration adds some while the
         # manager closes.
@@ -205,7 +206,7 @@ class Offers:
         if not wanted and not self._wanted:
             return
         if self._stop_listening is None:
-            self._stop_listening = self._listen(self._note_event)
+            self._stop_listening = self._events.listen(self._note_event)
         before, self._wanted = self._wanted, wanted
         replaced = {name for name, offer in before.items() if wanted.get(name, offer) != offer}
         self._owner.post(ev.OffersWanted(tuple(wanted), frozenset(replaced)))

@@ -1,0 +1,100 @@
+"""Listeners of changes: events get a number, and are brought to them in order, by one thread."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from queue import SimpleQueue
+
+from uoarm._dataplane import Clock
+from uoarm._raised import LimitedLog, foreign
+from uoarm._support.ordered import keep_newest
+from uoarm.model import StatusEvent
+
+__all__ = ["EventDispatcher"]
+
+_CLOSE_SECONDS = 2.0
+_RECORDED = frozenset({"lost", "failed", "replaced"})
+_BURST = 20
+_log = logging.getLogger("uoarm")
+
+
+class EventDispatcher:
+    """Numbers events and calls listeners, in a thread of its own: nothing waits for a listener.
+
+    The thread begins with the first listener, and is woken only while there are some. Deaths and
+    takeovers have a record in the log each, written by the same thread: at most twenty in ten
+    seconds for a component or a bridge, and for all connections together.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        # Held from the number of an event to its place in the queue: listeners get them in order.
+        # None is called with it.
+        self._lock = threading.Lock()
+        self._number = 0
+        self._listeners: tuple[Callable[[StatusEvent], None], ...] = ()
+        self._events: SimpleQueue[StatusEvent | None] = SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._records: dict[str, LimitedLog] = {}
+
+    def post(self, subject: str, change: str, cause: str = "", function: str = "") -> None:
+        """Number one change and have the listeners called. Waits for nothing."""
+        with self._lock:
+            self._number += 1
+            if self._listeners or change in _RECORDED:
+                self._start()
+                now = self._clock()
+                event = StatusEvent(self._number, now, subject, change, cause, function)
+                self._events.put(event)
+
+    def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
+        """Call a listener for every change from now on; returns what ends that."""
+        with self._lock:
+            self._listeners = (*self._listeners, listener)
+            self._start()
+
+        def end() -> None:
+            with self._lock:
+                self._listeners = tuple(
+                    callback for callback in self._listeners if callback is not listener
+                )
+
+        return end
+
+    def close(self) -> None:
+        """Call listeners for what is left, then end. Waits two seconds at most."""
+        self._events.put(None)
+        thread = self._thread
+        if thread is not None and threading.current_thread() is not thread:
+            thread.join(_CLOSE_SECONDS)
+
+    def _start(self) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="uoarm-events", daemon=True)
+            self._thread.start()
+
+    def _record(self, event: StatusEvent) -> None:
+        kind, _, name = event.subject.partition(" ")
+        key = f"{event.change} {kind if kind == 'connection' else event.subject}"
+        log = self._records.get(key)
+        if log is None:
+            logger = f"uoarm.component.{name}" if kind == "component" else "uoarm"
+            log = LimitedLog(logger, _BURST)
+        keep_newest(self._records, key, log)
+        log.write(logging.WARNING, f"{event.subject} {event.change}: {event.cause}")
+
+    def _run(self) -> None:
+        while (event := self._events.get()) is not None:
+            if event.change in _RECORDED:
+                self._record(event)
+            self._notify(event)
+
+    def _notify(self, event: StatusEvent) -> None:
+        # Apart from what waits: its frame would keep the last listener, that has left or not.
+        for listener in self._listeners:
+            try:
+                foreign(listener, event)
+            except Exception:  # noqa: BLE001 - a listener may raise anything
+                _log.exception("listener %r failed at event %d", listener, event.number)
