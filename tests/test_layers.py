@@ -31,13 +31,10 @@ LAYERS = [
         "_run_as_module",
         "_version",
         "_origin",
-        "_quick_check",
         "_raised",
         "_secrets",
         "_spans",
-        "_spelling",
         "_support",
-        "_turns",
     },
     {"error_codes"},
     {"_plugins"},
@@ -116,7 +113,7 @@ ALONE = {
     "_wire": {"_wire", "model", "errors"},
     "cdr": {"cdr", "model", "errors", "_deferred"},
     "local": {"local", "bridge", "_hints", "model", "errors"}
-    | {"_arguments", "_mistakes", "_raised", "_spelling", "_support"},
+    | {"_arguments", "_mistakes", "_raised", "_support"},
 }
 
 # Within a package: what each folder, and some modules, may import of it.

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from uoarm._quick_check import certainly_matches
+from uoarm._mistakes import certainly_matches
 from uoarm._support.yaml import read_file
 from uoarm.bridge import Registry
 from uoarm.config import published_schema

@@ -405,7 +405,6 @@ def _ros1() -> Mapping[str, Target]:
     if find_spec("uoarm_ros1") is None:
         return {}
     from uoarm_ros1._definitions import DefinitionError, record_of, service_of
-    from uoarm_ros1._node_api import NodeApi
     from uoarm_ros1._tcpros import (
         ProtocolError,
         ReplyReader,
@@ -418,6 +417,7 @@ def _ros1() -> Mapping[str, Target]:
     from uoarm_ros1._xmlrpc import (
         Fault,
         HttpReader,
+        NodeApi,
         decode_call,
         decode_reply,
         encode_call,

@@ -22,7 +22,7 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 
 from uoarm.testing import patience, slowness
-from uoarm.testing._time import default_limits
+from uoarm.testing._waiting import default_limits
 
 __all__ = ["Scheduler", "longest_step", "waits"]
 

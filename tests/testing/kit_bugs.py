@@ -42,7 +42,7 @@ from uoarm.bridge import Bridge, Description, Discovered, Registry, Source
 from uoarm.errors import UoarmError
 from uoarm.model import Endpoint, Message, Role
 from uoarm.testing import MemoryBridge
-from uoarm.testing._time import default_limits
+from uoarm.testing._waiting import default_limits
 from uoarm.testing.conformance import BridgeConformance, World
 from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._ending import EndingRules

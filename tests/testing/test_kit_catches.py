@@ -16,7 +16,7 @@ from tests.testing.bad_worlds import BadWorld, Bug
 
 from uoarm.errors import UoarmError
 from uoarm.testing import patience
-from uoarm.testing._time import default_limits
+from uoarm.testing._waiting import default_limits
 from uoarm.testing.conformance._world import PAGE, rule_of
 
 ROOT = Path(__file__).parents[2]

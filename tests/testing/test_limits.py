@@ -11,7 +11,7 @@ from uoarm.bridge import Bridge
 from uoarm.errors import BridgeTimeoutError
 from uoarm.model import Endpoint, Role
 from uoarm.testing import MemoryBridge, hanging, patience
-from uoarm.testing._time import default_limits
+from uoarm.testing._waiting import default_limits
 
 
 def test_a_call_without_a_limit_has_the_one_around_it() -> None:

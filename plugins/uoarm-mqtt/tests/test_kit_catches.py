@@ -22,7 +22,7 @@ from uoarm_mqtt import _link
 
 from uoarm.bridge import ReceiveQueue
 from uoarm.errors import BridgeError
-from uoarm.testing._time import default_limits
+from uoarm.testing._waiting import default_limits
 from uoarm.testing.conformance._world import PAGE, rule_of
 
 # A broker links no topics. Its connection reports by itself: `BUGS` has what is wrong there.

@@ -12,9 +12,16 @@ from typing import Any
 
 import pytest
 from robots import fleet
-from uoarm_remote import _browser, _command
-from uoarm_remote._browser import MOST, SERVICE, AnnouncedManager, Browser, _place, _shown
-from uoarm_remote._command import announced_text
+from uoarm_remote import _command
+from uoarm_remote._command import (
+    MOST,
+    SERVICE,
+    AnnouncedManager,
+    Browser,
+    _place,
+    _shown,
+    announced_text,
+)
 from zeroconf import (  # type: ignore[attr-defined]  # two that it imports, and does not list
     DNSOutgoing,
     DNSPointer,
@@ -45,12 +52,12 @@ class Network:
         port: int = 9080,
     ) -> ServiceInfo:
         info = ServiceInfo(
-            _browser.SERVICE,
-            f"{name}.{_browser.SERVICE}",
+            _command.SERVICE,
+            f"{name}.{_command.SERVICE}",
             port=port,
             parsed_addresses=list(addresses),
             properties=properties,
-            server=f"{name}-{_browser.SERVICE[1:12]}.local.",  # of this test alone, as the type
+            server=f"{name}-{_command.SERVICE[1:12]}.local.",  # of this test alone, as the type
         )
         self.zeroconf.register_service(
             info, cooperating_responders=True
@@ -62,7 +69,7 @@ class Network:
         for name in names:
             message = DNSOutgoing(0x8400)  # an answer that speaks for itself
             message.add_answer_at_time(
-                DNSPointer(_browser.SERVICE, 12, 1, 4500, f"{name}.{_browser.SERVICE}"), 0
+                DNSPointer(_command.SERVICE, 12, 1, 4500, f"{name}.{_command.SERVICE}"), 0
             )
             self.zeroconf.send(message)
 
@@ -70,7 +77,7 @@ class Network:
 @pytest.fixture(autouse=True)
 def _service(monkeypatch: pytest.MonkeyPatch) -> None:
     """A type of its own: what tests beside this one announce on loopback is received here, too."""
-    monkeypatch.setattr(_browser, "SERVICE", f"_u{secrets.token_hex(5)}._tcp.local.")
+    monkeypatch.setattr(_command, "SERVICE", f"_u{secrets.token_hex(5)}._tcp.local.")
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from peers import Master, Peer, running
 from uoarm_ros1._master import call_api
 
 from uoarm.testing import patience, slowness
-from uoarm.testing._time import default_limits
+from uoarm.testing._waiting import default_limits
 
 settings.register_profile("ros1-short", max_examples=40, deadline=None, derandomize=True)
 settings.register_profile("ros1-long", max_examples=1000, deadline=None)

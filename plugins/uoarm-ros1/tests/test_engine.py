@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from uoarm_ros1._definitions import DefinitionError, record_of, service_of
 from uoarm_ros1._health import LostComponents, MasterHealth
-from uoarm_ros1._node_api import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
 from uoarm_ros1._options import (
     Names,
     NodeIdentity,
@@ -36,6 +35,10 @@ from uoarm_ros1._types import LENGTH, TypeStore, framed_writer, reader
 from uoarm_ros1._xmlrpc import (
     Fault,
     HttpReader,
+    NodeApi,
+    ParameterUpdate,
+    PublisherUpdate,
+    Shutdown,
     decode_call,
     decode_reply,
     encode_call,

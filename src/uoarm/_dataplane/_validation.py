@@ -15,8 +15,7 @@ from uoarm._dataplane._compiled_check import Accepts, compile_check
 from uoarm._dataplane._failures import OutputWatch
 from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck
 from uoarm._encodable import encodable, is_encodable
-from uoarm._mistakes import mistakes
-from uoarm._spelling import Speller
+from uoarm._mistakes import Speller, mistakes
 from uoarm._support.yaml import Path, clip
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, Schema, ValidationMode

@@ -11,7 +11,7 @@ from uoarm._deferred import deferred
 if TYPE_CHECKING:
     from uoarm._host.process_connection import HostSettings
     from uoarm._host.remote_bridge import RemoteBridge
-    from uoarm._host.transport.security import Identity
+    from uoarm._host.transport.zenoh_transport import Identity
     from uoarm._host.xmlrpc_server import XmlRpcServer
 
 __all__ = [
@@ -27,7 +27,7 @@ if not TYPE_CHECKING:
         {
             "process_connection": ("HostSettings",),
             "remote_bridge": ("RemoteBridge",),
-            "transport.security": ("Identity",),
+            "transport.zenoh_transport": ("Identity",),
             "xmlrpc_server": ("XmlRpcServer",),
         },
     )

@@ -15,10 +15,15 @@ from attrs import evolve
 from uoarm._host.process_connection import HostSettings
 from uoarm._host.transport import keys
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
-from uoarm._host.transport.security import MANAGER, Identity, access_list, certified
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.transport import Transport
-from uoarm._host.transport.zenoh_transport import ZenohTransport
+from uoarm._host.transport.zenoh_transport import (
+    MANAGER,
+    Identity,
+    ZenohTransport,
+    access_list,
+    certified,
+)
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import BridgeSpec, Listening

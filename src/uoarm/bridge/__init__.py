@@ -1,22 +1,13 @@
 """The bridge contract: what a framework plugin implements and what the manager may rely on."""
 
-from uoarm._backoff import Backoff
+from uoarm._backoff import Backoff, TurnCounter, Turns
 from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import foreign, text_of
-from uoarm._turns import TurnCounter, Turns
+from uoarm.bridge._border import Delivery, reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
 from uoarm.bridge._channel import Channel, Outcomes, ReceiveQueue, Sink, Source
-from uoarm.bridge._description import (
-    Capabilities,
-    Description,
-    Discovered,
-    HealthEvent,
-    ServiceStructures,
-)
-from uoarm.bridge._foreign import reading_endpoint
-from uoarm.bridge._gate import Delivery
 from uoarm.bridge._health import (
     ChannelHealth,
     ChannelMonitor,
@@ -43,6 +34,13 @@ from uoarm.bridge._registry import (
     refuse_loop,
 )
 from uoarm.bridge._services import ServedRequests
+from uoarm.bridge._steps import (
+    Capabilities,
+    Description,
+    Discovered,
+    HealthEvent,
+    ServiceStructures,
+)
 from uoarm.bridge._watchdog import boot_seconds
 
 __all__ = [

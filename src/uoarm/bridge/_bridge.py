@@ -14,19 +14,20 @@ from uoarm._forks import generation
 from uoarm._raised import foreign
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
+from uoarm.bridge._border import Delivery, Gate, translated
 from uoarm.bridge._channel import Channel, Sink, Source
-from uoarm.bridge._description import (
+from uoarm.bridge._options import DeclaredOptions
+from uoarm.bridge._services import CallsUnderWay, CallUnderWay
+from uoarm.bridge._steps import (
+    ANYTHING,
+    BridgeSteps,
     Capabilities,
     Description,
     Discovered,
+    Handler,
     HealthEvent,
     ServiceStructures,
 )
-from uoarm.bridge._foreign import translated
-from uoarm.bridge._gate import Delivery, Gate
-from uoarm.bridge._options import DeclaredOptions
-from uoarm.bridge._services import CallsUnderWay, CallUnderWay
-from uoarm.bridge._steps import ANYTHING, BridgeSteps, Handler
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import (
     Deliver,

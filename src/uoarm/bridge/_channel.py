@@ -14,8 +14,7 @@ from typing import Generic, TypeVar, final
 from uoarm._forks import generation
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
-from uoarm.bridge._foreign import translated
-from uoarm.bridge._gate import Gate
+from uoarm.bridge._border import Gate, translated
 from uoarm.bridge._watchdog import Watchdog
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import CommandStatus, Endpoint, Message, QueuePolicy

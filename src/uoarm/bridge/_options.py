@@ -21,10 +21,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import attrs
 from typing_extensions import Self
 
-from uoarm._mistakes import Mistake, schema_mistakes
-from uoarm._spelling import Speller
+from uoarm._mistakes import Mistake, Speller, schema_mistakes
 from uoarm._support.yaml import write_path
-from uoarm.bridge._foreign import reading_endpoint
+from uoarm.bridge._border import reading_endpoint
 from uoarm.model import Endpoint, Options, Schema
 
 if TYPE_CHECKING:

@@ -19,17 +19,15 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from attrs import field, frozen
 from typing_extensions import Self
 
-from uoarm._mistakes import mistakes
+from uoarm._mistakes import Speller, certainly_matches, mistakes
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, cause_of, hookspec, installed, values_of
-from uoarm._quick_check import certainly_matches
-from uoarm._spelling import Speller
 from uoarm._support import deadlines
 from uoarm._support.yaml import write_path
+from uoarm.bridge._border import translated
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
-from uoarm.bridge._description import Description
-from uoarm.bridge._foreign import translated
 from uoarm.bridge._options import BridgeOptions, EndpointOptions
+from uoarm.bridge._steps import Description
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Options, Schema
 

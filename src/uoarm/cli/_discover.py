@@ -14,11 +14,12 @@ from attrs import evolve
 from uoarm import RobotManager
 from uoarm._support.files import write_whole
 from uoarm.bridge import Registry
-from uoarm.cli._file import STANDARD, DefaultConfiguration, takes_configuration
 from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
+    STANDARD,
+    DefaultConfiguration,
     Seconds,
     every_option,
     fail,
@@ -26,6 +27,7 @@ from uoarm.cli._shared import (
     json_option,
     print_json,
     reporting,
+    takes_configuration,
 )
 from uoarm.config import is_blank, load, merge
 from uoarm.config import suggest as suggestion_for

@@ -12,10 +12,8 @@ import click
 
 from uoarm._forks import default_in_children
 from uoarm.bridge import Registry
-from uoarm.cli._file import takes_configuration
-from uoarm.cli._log import at_least
-from uoarm.cli._output import echo
-from uoarm.cli._shared import Seconds, needing, reporting
+from uoarm.cli._output import at_least, echo
+from uoarm.cli._shared import Seconds, needing, reporting, takes_configuration
 from uoarm.config import load
 from uoarm.errors import CommandLineError
 from uoarm.model import Component, Endpoint, place_problem

@@ -32,9 +32,8 @@ from uoarm._lock import (
 from uoarm._support.files import write_whole
 from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm.bridge import Registry
-from uoarm.cli._file import takes_configuration
 from uoarm.cli._output import echo
-from uoarm.cli._shared import REFUSED, print_warning, reporting
+from uoarm.cli._shared import REFUSED, print_warning, reporting, takes_configuration
 from uoarm.config import load
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan, to_json, write_json

@@ -21,8 +21,7 @@ import click
 from uoarm._raised import text_of
 from uoarm._support.process_tuning import short_switch_interval
 from uoarm._version import __version__
-from uoarm.cli._log import add_log_options, logging_to_stderr
-from uoarm.cli._output import keep_apart
+from uoarm.cli._output import add_log_options, keep_apart, logging_to_stderr
 from uoarm.cli._shared import (
     INTERRUPTED,
     JSON,

@@ -1,26 +1,44 @@
-"""Standard output is what a command was asked for: what components print goes to standard error.
+"""What a command writes: what it was asked for to standard output, its log to standard error.
 
 A component runs in the process of the command. What it prints, C code and programs that it starts
-included, would stand among the lines of JSON that another program reads.
+included, would stand among the lines of JSON that another program reads: it goes to standard error.
 """
 
 from __future__ import annotations
 
 import functools
 import io
+import logging
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, TypeVar, cast
 
 import click
 
-__all__ = ["echo", "keep_apart", "output"]
+from uoarm._log_lines import JsonFormatter, StderrHandler, TextFormatter
+from uoarm._mistakes import Speller, any_of
+
+__all__ = [
+    "add_log_options",
+    "at_least",
+    "echo",
+    "keep_apart",
+    "leaving_out",
+    "logging_to_stderr",
+    "output",
+]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _STDOUT, _STDERR = 1, 2
 _own: list[TextIO] = []  # of the command that runs; of another one within it, the last
+_VARIABLE = "UOARM_LOG"
+_META = "uoarm.log"
+_EARLY = "uoarm.log.early"
+_OURS = "uoarm"
+_LEVELS = ("debug", "info", "warning", "error")
+_FORMS = {"text": TextFormatter, "json": JsonFormatter}
 
 
 def output() -> TextIO:
@@ -91,3 +109,142 @@ def _own_descriptor(stream: TextIO) -> Iterator[TextIO]:
         os.close(kept)
         with suppress(OSError):  # what could not be written has been reported
             own.close()
+
+
+class _Log:
+    """The handler of a command's records, and the levels that were asked for by name of logger."""
+
+    def __init__(self) -> None:
+        self.handler = StderrHandler()
+        self._former: dict[str, int] = {}
+        self._is_chosen = False
+        self.take("text")
+
+    def open(self) -> None:
+        logging.getLogger().addHandler(self.handler)
+
+    def close(self) -> None:
+        logging.getLogger().removeHandler(self.handler)
+        for name, level in self._former.items():
+            logging.getLogger(name).setLevel(level)
+
+    def take(self, given: str) -> None:
+        """Hold to one choice, of a form or of a level.
+
+        Raises:
+            ValueError: it is neither.
+        """
+        if given in _FORMS:
+            self.handler.setFormatter(_FORMS[given]())
+            return
+        name, is_named, level = _checked_level(given).rpartition("=")
+        self._set(name.strip() if is_named else _OURS, getattr(logging, level.upper()))
+        self._is_chosen = self._is_chosen or not is_named
+
+    def at_least(self, level: int) -> None:
+        """Have records of this level written, unless another one was asked for."""
+        if not self._is_chosen:
+            self._set(_OURS, level)
+
+    def _set(self, name: str, level: int) -> None:
+        logger = logging.getLogger(name)
+        self._former.setdefault(name, logger.level)
+        logger.setLevel(level)
+
+
+def _checked_level(given: str) -> str:
+    """Return one choice: `LEVEL`, of all loggers of uoarm, or `LOGGER=LEVEL`.
+
+    Raises:
+        ValueError: there is no such level.
+    """
+    level = given.rpartition("=")[2].lower()
+    if level not in _LEVELS:
+        hint = Speller().guess(level, _LEVELS)
+        expected = f"expected {any_of(_LEVELS)}, or LOGGER=LEVEL such as uoarm.control=debug"
+        raise ValueError(f"{expected}; got {given!r}{hint and f'; {hint}'}")
+    return given
+
+
+@contextmanager
+def logging_to_stderr(context: click.Context) -> Iterator[None]:
+    """Write the records of a command while it runs, as the variable and its options say.
+
+    Raises:
+        click.UsageError: the variable says something else.
+    """
+    log = _Log()
+    log.open()
+    try:
+        chosen = filter(None, map(str.strip, os.environ.get(_VARIABLE, "").split(",")))
+        for given in (*chosen, *context.meta.pop(_EARLY, ())):
+            try:
+                log.take(given)
+            except ValueError as error:
+                expected = f"{_VARIABLE}: {error}; or {any_of(_FORMS)}"
+                raise click.UsageError(expected, ctx=context) from error
+        context.meta[_META] = log
+        yield
+    finally:
+        log.close()
+
+
+def at_least(level: int) -> None:
+    """Have a command that is about its log write these records unless an option says otherwise."""
+    click.get_current_context().meta[_META].at_least(level)
+
+
+@contextmanager
+def leaving_out(repeated: logging.Filter) -> Iterator[None]:
+    """Write no records that a filter leaves out, as the command itself says what they do."""
+    log: _Log = click.get_current_context().meta[_META]
+    log.handler.addFilter(repeated)
+    try:
+        yield
+    finally:
+        log.handler.removeFilter(repeated)
+
+
+def _take(context: click.Context, choices: Iterable[str]) -> None:
+    """Hold to what an option says: now, or, of those before the command, when its log begins."""
+    log: _Log | None = context.meta.get(_META)
+    for given in choices:
+        if log is None:
+            context.meta.setdefault(_EARLY, []).append(given)
+        else:
+            log.take(given)
+
+
+def _take_levels(context: click.Context, parameter: click.Parameter, given: Iterable[str]) -> None:
+    try:
+        _take(context, map(_checked_level, given))
+    except ValueError as error:
+        raise click.BadParameter(str(error), ctx=context, param=parameter) from error
+
+
+def _take_form(context: click.Context, _: click.Parameter, form: str | None) -> None:
+    _take(context, [] if form is None else [form])
+
+
+def add_log_options(command: click.Command) -> None:
+    """Give a command, and all commands in it, the options of the log."""
+    command.params += [
+        click.Option(
+            ["--log-level"],
+            metavar="LEVEL",
+            multiple=True,
+            expose_value=False,
+            callback=_take_levels,
+            help="Write records from debug, info, warning or error on; LOGGER=LEVEL for one.",
+        ),
+        click.Option(
+            ["--log-format"],
+            type=click.Choice(list(_FORMS)),
+            expose_value=False,
+            callback=_take_form,
+            help=f"Write records as lines of text or of JSON; {_VARIABLE} has both.",
+        ),
+    ]
+    if isinstance(command, click.Group):
+        for member in command.commands.values():
+            add_log_options(member)

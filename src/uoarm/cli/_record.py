@@ -14,7 +14,6 @@ from typing import Any, NoReturn
 import click
 
 from uoarm._forks import default_in_children
-from uoarm.cli._file import takes_configuration
 from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     BRIDGE,
@@ -26,6 +25,7 @@ from uoarm.cli._shared import (
     print_error,
     print_failure,
     print_json,
+    takes_configuration,
 )
 from uoarm.errors import UoarmError
 from uoarm.model import format_reason, to_json, write_json

@@ -18,9 +18,8 @@ from attrs import field, fields_dict, frozen
 from uoarm import errors
 from uoarm._raised import text_of
 from uoarm._support.files import UnreadableFileError, read_text
-from uoarm.cli._file import takes_configuration
 from uoarm.cli._output import echo
-from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting
+from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting, takes_configuration
 from uoarm.model import write_json
 
 if TYPE_CHECKING:

@@ -18,9 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
-from uoarm.cli._file import takes_configuration
-from uoarm.cli._log import leaving_out
-from uoarm.cli._output import echo, output
+from uoarm.cli._output import echo, leaving_out, output
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
@@ -34,6 +32,7 @@ from uoarm.cli._shared import (
     plain,
     print_warning,
     reporting,
+    takes_configuration,
 )
 from uoarm.errors import MessageError, UsageError
 from uoarm.model import (

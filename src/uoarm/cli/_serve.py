@@ -24,7 +24,6 @@ from uoarm._support.files import stamp_of
 from uoarm._support.yaml import write_flow
 from uoarm._version import __version__
 from uoarm.cli._announce import Announcement
-from uoarm.cli._file import takes_configuration
 from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     fail,
@@ -33,6 +32,7 @@ from uoarm.cli._shared import (
     print_error,
     print_warning,
     reporting,
+    takes_configuration,
 )
 from uoarm.errors import UoarmError
 

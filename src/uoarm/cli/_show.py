@@ -19,13 +19,13 @@ from click.shell_completion import CompletionItem
 
 from uoarm._version import __version__
 from uoarm.bridge import Registry
-from uoarm.cli._file import DefaultConfiguration, takes_configuration
 from uoarm.cli._output import echo
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
     REFUSED,
+    DefaultConfiguration,
     Seconds,
     fail,
     function_argument,
@@ -37,6 +37,7 @@ from uoarm.cli._shared import (
     print_json,
     print_warning,
     reporting,
+    takes_configuration,
 )
 from uoarm.config import assign, completed_schema, inspect, installation, load
 from uoarm.errors import BridgeError, UsageError

@@ -18,17 +18,18 @@ from uoarm._checks import plugin_facts
 from uoarm._origin import install_command
 from uoarm.bridge import Registry
 from uoarm.cli._discover import looking
-from uoarm.cli._file import STANDARD, takes_configuration
 from uoarm.cli._output import echo, output
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
+    STANDARD,
     every_option,
     fitted,
     json_option,
     open_robot,
     print_json,
+    takes_configuration,
     terminal_width,
 )
 from uoarm.errors import PluginError

@@ -13,10 +13,16 @@ from uoarm import RobotManager
 from uoarm._raised import foreign, sentence_of
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
-from uoarm.cli._file import DefaultConfiguration, takes_configuration
 from uoarm.cli._output import echo
 from uoarm.cli._serve import cannot_listen, listening_options, say, stop_file_of, stopping
-from uoarm.cli._shared import Seconds, json_option, needing, reporting
+from uoarm.cli._shared import (
+    DefaultConfiguration,
+    Seconds,
+    json_option,
+    needing,
+    reporting,
+    takes_configuration,
+)
 from uoarm.config import add_functions, load
 from uoarm.errors import ConnectionClosedError, UoarmError
 from uoarm.model import BridgeFindings, Robot, to_json, write_json

@@ -23,9 +23,16 @@ from typing import TYPE_CHECKING, Any
 from attrs import evolve, frozen
 
 from uoarm._meaning import unit_mistake
-from uoarm._mistakes import TYPES, Mistake, is_about_a_key, mistakes, near
-from uoarm._quick_check import certainly_matches
-from uoarm._spelling import Speller, any_of
+from uoarm._mistakes import (
+    TYPES,
+    Mistake,
+    Speller,
+    any_of,
+    certainly_matches,
+    is_about_a_key,
+    mistakes,
+    near,
+)
 from uoarm._support.yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.errors import ConfigurationError

@@ -19,9 +19,8 @@ from uoarm._arguments import arguments
 from uoarm._hints.arrays import HintError
 from uoarm._hints.convert import reader, writer
 from uoarm._hints.schemas import schema_of
-from uoarm._mistakes import schema_mistakes
+from uoarm._mistakes import Speller, schema_mistakes
 from uoarm._raised import foreign, text_of
-from uoarm._spelling import Speller
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.local._modules import Modules, written_name

@@ -4,13 +4,23 @@ The conformance kit for bridge authors is `uoarm.testing.conformance`, which nee
 `instances` needs hypothesis. Nothing else here needs more than uoarm itself.
 """
 
-from uoarm.testing._collector import Background, Collector, copies, losses, plain, same
 from uoarm.testing._components import Emitter, Loop, MemoryService, Script, Taker
 from uoarm.testing._faults import Hang, Proxy, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
 from uoarm.testing._memory import MemoryBridge
 from uoarm.testing._resources import ResourceSnapshot, free_port, hold_idle
-from uoarm.testing._time import ManualClock, patience, slowness, wait
+from uoarm.testing._waiting import (
+    Background,
+    Collector,
+    ManualClock,
+    copies,
+    losses,
+    patience,
+    plain,
+    same,
+    slowness,
+    wait,
+)
 
 __all__ = [
     "Background",

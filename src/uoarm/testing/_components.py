@@ -24,8 +24,8 @@ from uoarm._arguments import arguments
 from uoarm.bridge import Channel, Handler
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message, MessageStructure, Role, Schema
-from uoarm.testing._collector import Collector
 from uoarm.testing._faults import Hang
+from uoarm.testing._waiting import Collector
 
 __all__ = [
     "CLEARED",

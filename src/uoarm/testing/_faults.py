@@ -21,7 +21,7 @@ from typing_extensions import Self
 
 from uoarm._arguments import arguments
 from uoarm.bridge import Bridge, Channel
-from uoarm.testing._time import patience
+from uoarm.testing._waiting import patience
 
 __all__ = ["Hang", "Proxy", "hanging", "lying", "raising"]
 

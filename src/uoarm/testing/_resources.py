@@ -12,7 +12,7 @@ from pathlib import Path
 from random import SystemRandom
 
 from uoarm._arguments import arguments
-from uoarm.testing._time import patience, wait
+from uoarm.testing._waiting import patience, wait
 
 __all__ = ["ResourceSnapshot", "free_port", "hold_idle"]
 

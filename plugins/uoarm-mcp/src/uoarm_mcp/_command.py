@@ -4,22 +4,43 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import ctypes
+import fcntl
 import os
+import queue
+import signal
 import sys
-from contextlib import AbstractContextManager, nullcontext
+import threading
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any, cast
+
+import orjson
+from anyio import AsyncFile
+from mcp.server.stdio import stdio_server
+from mcp_types import INVALID_REQUEST, PARSE_ERROR, jsonrpc_message_adapter
+from pydantic import ValidationError
 
 from uoarm import RobotManager
-from uoarm.errors import CommandLineError
+from uoarm.errors import CommandLineError, ControlMessageError
+from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.plugins import Command, CommandParser, hookimpl
-from uoarm.server import Server, ServerOptions, run
-from uoarm.server.front_end import RefusedError
-from uoarm_mcp._stdio import own_wire, serve_stdio
+from uoarm.server import Limits, Server, ServerOptions, run
+from uoarm.server.front_end import Discoveries, RefusedError
+from uoarm_mcp._service import AgentService
 
-__all__ = ["main", "uoarm_commands"]
+__all__ = ["main", "own_wire", "serve_stdio", "uoarm_commands"]
 
 _REFUSED, _USED = 1, 5
 _LAST_PORT = 65_535
+_LINE_OCTETS = 1_048_576
+_CHUNK_OCTETS = 65_536
+_MOST_LINES = 64
+_MOST_WAITING_OCTETS = 8_388_608
+_DRAIN_SECONDS = 2.0
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -112,3 +133,214 @@ def _say(server: Server, options: ServerOptions) -> None:
     if options.access is None:
         sys.stderr.write("without an access file nothing that moves can be approved\n")
     sys.stderr.flush()
+
+
+async def serve_stdio(
+    wire: tuple[int, int],
+    robot: RobotManager,
+    options: ServerOptions,
+    token: str,
+    serving: Callable[[Server], None],
+) -> None:
+    """Serve one agent until its input ends or a signal asks for the end, beside the WebSocket.
+
+    Args:
+        wire: of `own_wire`.
+        robot: whose functions.
+        options: of the WebSocket server, at which a person approves.
+        token: of the agent.
+        serving: called when the server listens.
+    """
+    incoming, outgoing = wire
+    server = Server(robot, options)
+    await server.start()
+    loop = asyncio.get_running_loop()
+    service = None
+    try:
+        client = server.stateless_clients.local(token)
+        serving(server)
+        service = AgentService(
+            server.backend, Discoveries(server.backend), version("uoarm-mcp"), client
+        )
+        written = _OutputLines(outgoing)
+        lines = _InputLines(incoming, _budget(server.backend.limits), written)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            # As if the client had closed its end: what is under way ends in the same way.
+            loop.add_signal_handler(number, lines.end)
+        client.on_end(lines.end)
+        files = cast("AsyncFile[str]", lines), cast("AsyncFile[str]", written)
+        protocol = service.protocol
+        async with stdio_server(*files) as (messages, answers):
+            await protocol.run(messages, answers, protocol.create_initialization_options())
+        written.drain()
+    finally:
+        if service is not None:
+            service.close()
+        await server.stop()
+
+
+@contextmanager
+def own_wire() -> Iterator[tuple[int, int]]:
+    """Give descriptors of standard input and output that nothing else in the process has.
+
+    Meanwhile what is printed goes to standard error, and what reads standard input reads nothing.
+    Components may do so from their import to their close. The descriptors stay open: a thread may
+    wait on one of them for as long as the process lasts.
+    """
+    incoming, outgoing = (fcntl.fcntl(number, fcntl.F_DUPFD_CLOEXEC, 3) for number in (0, 1))
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    os.dup2(2, 1)
+    try:
+        yield incoming, outgoing
+    finally:
+        with suppress(OSError, ValueError):
+            sys.stdout.flush()
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).fflush(None)  # what C code has printed, and not written yet
+        os.dup2(incoming, 0)
+        os.dup2(outgoing, 1)
+
+
+def _budget(limits: Limits) -> Budget:
+    octets = min(_LINE_OCTETS, limits.message_bytes)
+    return Budget(octets, limits.elements, limits.depth, limits.dimensions)
+
+
+class _InputLines:
+    """Lines of a descriptor, read in a daemon thread, which no one waits for.
+
+    `os.read` holds no lock of a file object: the interpreter can end while the thread waits in it.
+    A line that is no message, or costs more than its budget, is answered here: the SDK leaves it
+    out, and its client would wait.
+    """
+
+    def __init__(self, descriptor: int, budget: Budget, answers: _OutputLines) -> None:
+        self._descriptor = descriptor
+        self._budget = budget
+        self._answers = answers
+        self._loop = asyncio.get_running_loop()
+        self._lines: deque[str | None] = deque()
+        self._came = asyncio.Event()
+        self._room = threading.Semaphore(_MOST_LINES)  # lines that the loop has not taken yet
+        threading.Thread(target=self._read, name="uoarm-mcp-stdin", daemon=True).start()
+
+    def end(self) -> None:
+        """Have the input end here, whatever else comes. In the loop's thread. Idempotent."""
+        self._lines.append(None)
+        self._came.set()
+
+    async def __aiter__(self) -> AsyncIterator[str]:
+        while True:
+            while not self._lines:
+                self._came.clear()
+                await self._came.wait()
+            line = self._lines.popleft()
+            if line is None:
+                return
+            self._room.release()
+            error = self._error(line)
+            if error is None:
+                yield line
+            else:
+                await self._answers.write(f"{orjson.dumps(error).decode()}\n")
+
+    def _error(self, line: str) -> Mapping[str, Any] | None:
+        """Return the answer to what is no message, None where it is one."""
+        try:
+            scan_json(line, BudgetUse(self._budget))
+            jsonrpc_message_adapter.validate_json(line, by_name=False)
+        except ControlMessageError as refused:
+            code, text = INVALID_REQUEST, str(refused)
+        except ValidationError as refused:
+            is_json = refused.errors(include_input=False)[0]["type"] != "json_invalid"
+            code = INVALID_REQUEST if is_json else PARSE_ERROR
+            text = f"expected one message of JSON-RPC in a line of {_LINE_OCTETS:,} octets at most"
+        else:
+            return None
+        return {"jsonrpc": "2.0", "id": None, "error": {"code": code, "message": text}}
+
+    def _read(self) -> None:
+        rest = bytearray()
+        is_late = False  # whether a line is left out whose beginning was too long
+        while chunk := self._chunk():
+            *lines, last = chunk.split(b"\n")
+            for line in lines:
+                rest += line
+                if not is_late:
+                    self._put(rest.decode("utf-8", "replace"))
+                is_late = False
+                rest.clear()
+            if not is_late:
+                rest += last
+            if len(rest) > _LINE_OCTETS:
+                self._put("too long")  # no JSON, and answered as such
+                is_late = True
+                rest.clear()
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self.end)
+
+    def _chunk(self) -> bytes:
+        try:
+            return os.read(self._descriptor, _CHUNK_OCTETS)
+        except OSError:
+            return b""
+
+    def _put(self, line: str) -> None:
+        self._room.acquire()
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._take, line)
+
+    def _take(self, line: str) -> None:
+        self._lines.append(line)
+        self._came.set()
+
+
+class _OutputLines:
+    """Writes to a descriptor in a daemon thread; what waits is bounded.
+
+    So a client that does not read holds up nothing but its own answers.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._loop = asyncio.get_running_loop()
+        self._waiting: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._octets = 0  # that wait; in the loop's thread alone
+        self._room = asyncio.Event()
+        self._thread = threading.Thread(target=self._write, name="uoarm-mcp-stdout", daemon=True)
+        self._thread.start()
+
+    async def write(self, text: str) -> None:
+        """Have a text written after those before it."""
+        while self._octets > _MOST_WAITING_OCTETS:
+            self._room.clear()
+            await self._room.wait()
+        data = text.encode()
+        self._octets += len(data)
+        self._waiting.put(data)
+
+    async def flush(self) -> None:
+        """Do nothing: nothing is held back."""
+
+    def drain(self) -> None:
+        """Wait a moment until all is written."""
+        self._waiting.put(None)
+        self._thread.join(_DRAIN_SECONDS)
+
+    def _write(self) -> None:
+        is_gone = False
+        while (data := self._waiting.get()) is not None:
+            rest = memoryview(data)
+            while rest and not is_gone:
+                try:
+                    rest = rest[os.write(self._descriptor, rest) :]
+                except OSError:
+                    is_gone = True  # the client is; its input ends, too
+            with suppress(RuntimeError):  # the loop is closed
+                self._loop.call_soon_threadsafe(self._written, len(data))
+
+    def _written(self, octets: int) -> None:
+        self._octets -= octets
+        self._room.set()

@@ -18,13 +18,13 @@ from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Health
 from uoarm_ros1._definitions import RosRecord
 from uoarm_ros1._master import Master, call_api
-from uoarm_ros1._node_api import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
 from uoarm_ros1._options import NodeIdentity, Ros1BridgeOptions
 from uoarm_ros1._publication import TopicPublication
 from uoarm_ros1._server import NodeServer, SocketLoop
 from uoarm_ros1._subscription import SubscriptionOptions, TopicSubscription
 from uoarm_ros1._tcpros import encode_header
 from uoarm_ros1._types import TypeStore, framed_writer, reader
+from uoarm_ros1._xmlrpc import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
 
 __all__ = ["Clock", "Node", "Rosout"]
 

@@ -12,8 +12,8 @@ from typing import Any
 import orjson
 from attrs import frozen
 
-from uoarm.errors import ControlMessageError
-from uoarm.model import BudgetUse, Message, Op, message_octets
+from uoarm.errors import BridgeError, ControlMessageError, UsageError
+from uoarm.model import BudgetUse, Message, Op, Role, message_octets, show_value
 from uoarm.server.front_end import (
     Backend,
     BusyError,
@@ -22,27 +22,32 @@ from uoarm.server.front_end import (
     GoalStatus,
     LimitError,
     MemoryUse,
+    Operation,
+    UnknownError,
     code_of,
     coded_text,
     without_frames,
 )
 from uoarm_rosbridge._actions import Actions
 from uoarm_rosbridge._hub import Hub
-from uoarm_rosbridge._names import Addresses
-from uoarm_rosbridge._rosapi import RosapiCatalogue
-from uoarm_rosbridge._services import ClientServices
+from uoarm_rosbridge._names import Addresses, NamedPort, find_place
+from uoarm_rosbridge._rosapi import PREFIX, Rosapi, RosapiCatalogue
 from uoarm_rosbridge._topics import Topics
+from uoarm_rosbridge._types import reader_of
 from uoarm_rosbridge._wire import (
     Fragments,
     check_fields,
+    fragment_size,
     identity_of,
     read_operation,
     split,
     write_ros,
 )
 
-__all__ = ["RosbridgeSession"]
+__all__ = ["ClientServices", "RosbridgeSession"]
 
+Fields = Mapping[str, Any]
+_CANCEL = "/_action/cancel_goal"
 _log = logging.getLogger("uoarm.rosbridge")
 _LEVELS = ("info", "warning", "error", "none")
 _WARNING, _ERROR = _LEVELS.index("warning"), _LEVELS.index("error")
@@ -58,6 +63,123 @@ _ANSWERED = {
     "call_service": ("service_response", "service"),
     "send_action_goal": ("action_result", "action"),
 }
+
+
+class ClientServices:
+    """Calls and answers of one client, in the loop's thread.
+
+    Args:
+        client: its limits and its rights.
+        backend: where functions are called.
+        hub: where clients call one another.
+        catalogue: answers what rosapi asks of the whole robot.
+        addresses: of functions, which clients may call by them.
+        send: sends one message to the client, in fragments of a size, 0 for none.
+        ask: sends another client's request; raises BusyError where it leaves too much unread.
+        cancel_goals: asks for the end of all the client's goals to an action.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        backend: Backend,
+        hub: Hub,
+        catalogue: RosapiCatalogue,
+        addresses: Addresses,
+        send: Callable[[Fields, int], None],
+        ask: Callable[[Fields], None],
+        cancel_goals: Callable[[NamedPort], None],
+    ) -> None:
+        self._client = client
+        self._limits = client.limits
+        self._backend = backend
+        self._hub = hub
+        self._addresses = addresses
+        self._send = send
+        self._ask = ask
+        self._cancel_goals = cancel_goals
+        self._rosapi = Rosapi(catalogue, hub, client)
+        self._provided: set[str] = set()
+
+    async def call(self, fields: Fields) -> None:
+        """Call a service and send its response."""
+        arguments = fields.get("args")
+        limit, most = fields.get("timeout"), self._limits.call_seconds
+        timeout = min(float(limit), most) if isinstance(limit, int | float) and limit > 0 else most
+        stated = str(fields.get("type") or "")
+        values = await self._answer(str(fields["service"]), stated, arguments, timeout)
+        response = {
+            "op": "service_response",
+            "service": fields["service"],
+            "values": values,
+            "result": True,
+        }
+        if fields.get("id") is not None:
+            response["id"] = fields["id"]
+        self._send(response, fragment_size(fields))
+
+    def advertise(self, fields: Fields) -> None:
+        """Provide a service to other clients."""
+        place = find_place(fields["service"])
+        self._client.require(Operation.SEND, place.right)
+        if place.function or place.name.startswith(PREFIX):
+            raise UsageError(f"{place.name!r} belongs to the server")
+        if len(self._provided) >= self._limits.streams:
+            raise LimitError(f"{self._limits.streams} services are provided; withdraw one first")
+        self._hub.provide(place.name, fields["type"], self)
+        self._provided.add(place.name)
+
+    def unadvertise(self, fields: Fields) -> None:
+        """Provide a service no more."""
+        name = find_place(fields["service"]).name
+        if name not in self._provided:
+            raise UsageError(f"this client does not provide {name!r}")
+        self._provided.discard(name)
+        self._hub.withdraw(name, self)
+
+    def respond(self, fields: Fields) -> None:
+        """Pass on the client's answer to a request."""
+        values = fields.get("values")
+
+        def conclude(future: Any) -> None:
+            if fields["result"] is True:
+                future.set_result({} if values is None else values)
+            else:
+                future.set_exception(BridgeError(f"the service said no: {show_value(values, 500)}"))
+
+        self._hub.answer(str(fields["id"]), self, conclude)
+
+    def refused(self, fields: Fields, why: str) -> None:
+        """Have who waits for an answer of this client know why it was refused."""
+        self._hub.refused(fields.get("id"), self, why)
+
+    def ask(self, identity: str, service: str, message: Message) -> None:
+        """Send another client's request to this one, which provides the service."""
+        self._ask({"op": "call_service", "id": identity, "service": service, "args": message})
+
+    def close(self) -> None:
+        """Withdraw everything."""
+        self._hub.forget(self)
+
+    async def _answer(
+        self, service: str, stated: str, arguments: Message, timeout: float
+    ) -> Message:
+        place = find_place(service)
+        if place.name.startswith(PREFIX):
+            return await self._rosapi.call(place.name.removeprefix(PREFIX), arguments)
+        if place.name.endswith(_CANCEL):
+            self._cancel_goals(find_place(place.name.removesuffix(_CANCEL)))
+            return {"return_code": 0, "goals_canceling": []}
+        self._client.require(Operation.CALL, place.right)
+        if not place.function:
+            if not self._hub.provides(place.name):
+                hint = self._addresses.hint(place.name, Role.SERVICE, self._client)
+                if hint:
+                    raise UnknownError(hint)
+            given = {} if arguments is None else arguments
+            return await self._hub.call(place.name, stated, given, timeout)
+        read = reader_of(f"service {place.name!r}", stated)
+        return await self._backend.call(place.wanted, arguments, read, timeout)
 
 
 @frozen

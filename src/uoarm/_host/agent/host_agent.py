@@ -15,9 +15,8 @@ from attrs import evolve
 
 from uoarm._host.agent.dispatcher import RequestDispatcher
 from uoarm._host.transport import keys
-from uoarm._host.transport.security import Identity
 from uoarm._host.transport.transport import Reply, RequestWorkers
-from uoarm._host.transport.zenoh_transport import ZenohTransport
+from uoarm._host.transport.zenoh_transport import Identity, ZenohTransport
 from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Registry
 from uoarm.errors import BridgeError, FailureReason, UoarmError

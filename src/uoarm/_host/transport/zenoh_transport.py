@@ -1,6 +1,8 @@
 """The transport between a manager and the hosts of other machines: one Zenoh session at either end.
 
-Requests are Zenoh queries whose payloads are frames of the codec.
+Requests are Zenoh queries whose payloads are frames of the codec. Who may join, and what it may
+touch, is said by mutual TLS and an access list: everything is denied but to a machine whose
+certificate carries its name, and to that one only the keys that begin with it.
 """
 
 from __future__ import annotations
@@ -8,16 +10,20 @@ from __future__ import annotations
 import copy
 import json
 import logging
+import os
 import re
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, final
 
 import zenoh
+from attrs import frozen
 
+from uoarm._host.transport import keys
 from uoarm._host.transport.codec import Frame, pack
 from uoarm._host.transport.transport import (
     ANSWER_SECONDS,
@@ -28,16 +34,128 @@ from uoarm._host.transport.transport import (
     answer_to,
     read_answer,
 )
-from uoarm.errors import BridgeTimeoutError, UoarmError
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
-__all__ = ["NO_MORE", "ZenohTransport", "configuration"]
+__all__ = [
+    "MANAGER",
+    "NO_MORE",
+    "Identity",
+    "ZenohTransport",
+    "access_list",
+    "certified",
+    "configuration",
+]
 
+MANAGER = "manager"
+"""The name of the manager's files in a folder of certificates."""
+_AUTHORITY = "ca"
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
+_MOST_CERTIFIED = 1024
+_OTHERS = 0o077
+_MESSAGES = (
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
 _PLACE_IN_ZENOH = re.compile(r" at /\S+\.rs:\d+")  # of the machine that built it
 _BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
 _log = logging.getLogger("uoarm")
 NO_MORE: Mapping[str, object] = MappingProxyType({})
 _FULL_SECONDS = 0.2
 _RETRY_MILLISECONDS = 200
+
+
+@frozen
+class Identity:
+    """The files by which one end of a link shows who it is and knows whom to believe."""
+
+    authority: Path
+    certificate: Path
+    key: Path
+
+    @classmethod
+    def find(cls, folder: str | Path, name: str) -> Identity:
+        """Return `ca.pem`, `NAME.pem` and `NAME.key` of a folder.
+
+        Raises:
+            BridgeError: one of them is missing, or others than its owner may read the key.
+        """
+        home = Path(folder).expanduser()
+        found = cls(home / "ca.pem", home / f"{name}.pem", home / f"{name}.key")
+        for file in (found.authority, found.certificate, found.key):
+            if not file.is_file():
+                text = f"there is no {file}; make it: uoarm certificates --help"
+                raise BridgeError(text, FailureReason.NOT_FOUND)
+        if os.name == "posix" and found.key.stat().st_mode & _OTHERS:
+            text = f"others may read the private key {found.key}: chmod 600 it"
+            raise BridgeError(text, FailureReason.REFUSED)
+        return found
+
+    def settings(self, *, listen: bool) -> dict[str, object]:
+        """Return Zenoh's settings for the end that listens, or for one that joins."""
+        side = "listen" if listen else "connect"
+        return {
+            "transport/link/tls": {
+                "root_ca_certificate": str(self.authority),
+                f"{side}_certificate": str(self.certificate),
+                f"{side}_private_key": str(self.key),
+                "enable_mtls": True,
+                "verify_name_on_connect": True,
+                "close_link_on_expiration": True,
+            }
+        }
+
+
+def certified(folder: str | Path) -> frozenset[str]:
+    """Return the machines whose certificates are in a folder, a thousand at most."""
+    found = sorted(file.stem for file in Path(folder).expanduser().glob("*.pem"))
+    # A name becomes part of a key, where `*` and `/` would open the keys of other machines.
+    names = [name for name in found if name not in {_AUTHORITY, MANAGER} and _NAME.fullmatch(name)]
+    return frozenset(names[:_MOST_CERTIFIED])
+
+
+def access_list(machines: Iterable[str] | None) -> Mapping[str, object]:
+    """Return Zenoh's settings under which each machine reaches its own keys, and no other.
+
+    Args:
+        machines: their names, as in their certificates; None where there are none, as on a
+            loopback without TLS: a client that connects may touch the keys of every machine.
+    """
+    if machines is None:
+        rules = [_rule("any-client", f"{keys.MACHINES}/**")]
+        subjects: list[dict[str, object]] = [{"id": "any-client"}]
+    else:
+        names = sorted(machines)
+        rules = [_rule(name, f"{keys.MACHINES}/{name}/**") for name in names]
+        subjects = [{"id": name, "cert_common_names": [name]} for name in names]
+    return {
+        "access_control": {
+            "enabled": True,
+            # Both ways: a machine neither gets what is sent to another, nor sends in its name.
+            "default_permission": "deny",
+            "rules": rules,
+            "subjects": subjects,
+            "policies": [
+                {"rules": [subject["id"]], "subjects": [subject["id"]]} for subject in subjects
+            ],
+        }
+    }
+
+
+def _rule(name: str, key: str) -> dict[str, object]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": ["ingress", "egress"],
+        "messages": list(_MESSAGES),
+        "key_exprs": [key],
+    }
 
 
 @final

@@ -14,9 +14,8 @@ import pytest
 from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message
-from uoarm.testing._collector import Background, Collector
 from uoarm.testing._resources import ResourceSnapshot
-from uoarm.testing._time import wait
+from uoarm.testing._waiting import Background, Collector, wait
 from uoarm.testing.conformance._world import World, example_of, line, rules, structure_of
 
 __all__ = ["EndingRules"]

@@ -10,11 +10,10 @@ from functools import partial
 import pytest
 
 from uoarm.bridge import Bridge, Channel, HealthEvent, Sink
-from uoarm.bridge._gate import UNSAID
+from uoarm.bridge._border import UNSAID
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message
-from uoarm.testing._collector import Background, Collector, same
-from uoarm.testing._time import wait
+from uoarm.testing._waiting import Background, Collector, same, wait
 from uoarm.testing.conformance._world import (
     Line,
     World,

@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UoarmError
 from uoarm.model import Endpoint, Message
-from uoarm.testing._collector import Background, Collector, same
 from uoarm.testing._instances import instances
-from uoarm.testing._time import wait
+from uoarm.testing._waiting import Background, Collector, same, wait
 from uoarm.testing.conformance._world import (
     Served,
     World,

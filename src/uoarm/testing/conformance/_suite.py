@@ -10,7 +10,7 @@ import pytest
 from attrs import evolve
 
 from uoarm.bridge import Bridge
-from uoarm.testing._time import default_limits, patience
+from uoarm.testing._waiting import default_limits, patience
 from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules

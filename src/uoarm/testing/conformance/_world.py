@@ -20,9 +20,8 @@ from uoarm.bridge import Bridge, Registry, Sink, Source
 from uoarm.errors import MessageError
 from uoarm.model import BridgeSpec, Endpoint, Message, MessageStructure, Schema
 from uoarm.schema import check
-from uoarm.testing._collector import Background, Collector, plain, same
 from uoarm.testing._resources import hold_idle
-from uoarm.testing._time import patience
+from uoarm.testing._waiting import Background, Collector, patience, plain, same
 
 __all__ = [
     "PAGE",
