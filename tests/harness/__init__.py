@@ -40,6 +40,9 @@ TOGETHER = {"tests/examples/test_healthbot.py", "tests/packaging/test_distributi
 HANGING = 10
 # Processor time, which a busy machine does not lengthen, from which on a test is a long one.
 LONG_SECONDS = 120.0
+# Of the collector of garbage: from which time on what stays is left out of a look at everything.
+LONG_LOOK_SECONDS = 0.02
+OLDEST = 2
 ORDER = "UOARM_TEST_ORDER"
 _HELD = pytest.StashKey[_leaks.Holdings]()
 
@@ -133,26 +136,34 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-_unfreeze = gc.unfreeze
-_is_thawed = False
+class _LongLooks:
+    """Freezes all that stays after a test in which the collector's look at everything took long.
+
+    A server lets go of what is frozen, and what tests import and keep is not frozen yet. The time
+    shows both: to ask for the count of what is frozen takes 40 ms, as it goes over all of it.
+    """
+
+    def __init__(self) -> None:
+        self._begin = 0.0
+        self._is_long = False
+
+    def __call__(self, phase: str, facts: dict[str, int]) -> None:
+        if facts["generation"] < OLDEST:
+            return
+        if phase == "start":
+            self._begin = time.thread_time()
+        elif time.thread_time() - self._begin > LONG_LOOK_SECONDS:
+            self._is_long = True
+
+    def shorten(self) -> None:
+        if self._is_long:
+            gc.collect()  # what is frozen is never found to be garbage
+            gc.freeze()
+            self._is_long = False
 
 
-def _notice_unfreeze() -> None:
-    global _is_thawed  # noqa: PLW0603 - what takes the place of a function has no other place
-    _is_thawed = True
-    _unfreeze()
-
-
-# To ask for the count of what is frozen takes 40 ms: it goes over all of it.
-vars(gc)["unfreeze"] = _notice_unfreeze
-
-
-def _freeze_again() -> None:
-    """Freeze what a server let go of, which looks at everything again, now and then."""
-    global _is_thawed  # noqa: PLW0603 - see above
-    if _is_thawed:
-        _is_thawed = False
-        gc.freeze()
+_looks = _LongLooks()
+gc.callbacks.append(_looks)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -193,13 +204,13 @@ def pytest_fixture_setup(
 def pytest_runtest_teardown(item: pytest.Item) -> Generator[None, None, None]:
     with _leaks.maker(item.nodeid):
         yield
-    _freeze_again()
     held = item.stash.get(_HELD, None)
     if held is None:
         return
     del item.stash[_HELD]
     kept = tuple(str(what) for mark in item.iter_markers("keeps") for what in mark.args)
     left = held.left(item.nodeid, kept)
+    _looks.shorten()
     if left:
         _leaks.end_processes(item.nodeid)
         pytest.fail(f"{item.nodeid} left behind:\n" + "\n".join(left), pytrace=False)

@@ -268,6 +268,27 @@ print(json.dumps([is_same, measured]))
 """
 
 
+def test_what_is_let_go_or_kept_is_left_out_of_later_looks_at_everything(run: Run) -> None:
+    found = run(
+        """
+        import gc
+
+        kept = []
+
+        def test_that_keeps():
+            gc.unfreeze()
+            kept.append([])
+            gc.collect()
+            assert any(value is kept for value in gc.get_objects())
+
+        def test_after():
+            assert not any(value is kept or value is kept[0] for value in gc.get_objects())
+        """,
+        set_up="harness.LONG_LOOK_SECONDS = 0.0",
+    )
+    found.assert_outcomes(passed=2)
+
+
 def test_threads_begin_late_and_one_of_four_waits_ends_late_by_a_number() -> None:
     def late(number: str) -> tuple[bool, list[list[float]]]:
         command = [sys.executable, "-c", LATE, str(Path(__file__).parent)]
