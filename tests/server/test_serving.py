@@ -409,3 +409,15 @@ def test_a_file_with_mistakes_leaves_the_configuration_as_it_is(
     assert "stays as it is" in _until(process, "funktions")[0]
     with Talk(f"ws://127.0.0.1:{port}/") as client:
         client.open("numbers")
+
+
+def test_a_mistake_that_is_undone_in_a_watched_file_gets_a_word(
+    start: Start, tmp_path: Path
+) -> None:
+    process, _ = start("--watch-config")
+    file = tmp_path / "robot.yaml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text("version: 1\nfunktions: {}\n", encoding="utf-8")
+    _until(process, "stays as it is")
+    file.write_text(text, encoding="utf-8")
+    _until(process, "the file is again what is in force")

@@ -321,6 +321,7 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
 
     def run() -> None:
         seen = before = stamp_of(path)
+        is_refused = False
         while not over.is_set():
             is_asked = asked.wait(_LOOK_SECONDS if watch else None)
             if over.is_set():
@@ -332,7 +333,10 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
             if is_asked or (watch and is_written):  # a file that still changes is being written
                 seen = now
                 if is_asked or not _is_in_force(manager, path):
-                    _reload(manager)
+                    is_refused = not _reload(manager)
+                elif is_refused:  # who has undone a mistake waits for a word
+                    is_refused = False
+                    click.echo("the file is again what is in force: nothing changes", err=True)
 
     thread = threading.Thread(target=run, name="uoarm-reload", daemon=True)
     thread.start()
@@ -366,7 +370,8 @@ def _is_in_force(manager: RobotManager, path: Path) -> bool:
         return False
 
 
-def _reload(manager: RobotManager) -> None:
+def _reload(manager: RobotManager) -> bool:
+    """Apply the configuration file and say what changed; returns whether that was possible."""
     try:
         change = manager.reload()
     except UoarmError as error:
@@ -375,6 +380,8 @@ def _reload(manager: RobotManager) -> None:
         _log.exception("reloading the configuration failed")
     else:
         click.echo(str(change), err=True)
+        return True
+    return False
 
 
 def _name_and_port(given: str) -> tuple[str, int]:
