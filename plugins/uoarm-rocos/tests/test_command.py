@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -64,6 +65,19 @@ def test_a_robot_over_tcp() -> None:
     with simulating("robot", "--tcp", "0") as url, bridged(robot={"url": url}) as (bridge, _):
         reply = bridge.call(endpoint("robot", "echo", "service"), {"text": "hello"})
         assert reply == {"text": "hello"}
+
+
+def test_a_taken_place_is_named(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        refused = CliRunner().invoke(uoarm, ["rocos", "simulate", "robot", "--tcp", str(port)])
+    assert f"port {port} of loopback cannot be opened: Address already in use\n" in refused.output
+    (tmp_path / "notes").write_text("of a person")
+    for name, why in (("nowhere/clip", "No such file or directory"), ("notes", "File exists")):
+        link = str(tmp_path / name)
+        refused = CliRunner().invoke(uoarm, ["rocos", "simulate", "robot", "--pty", "--link", link])
+        assert f"{link} cannot be opened: {why}\n" in refused.output
+    assert (tmp_path / "notes").read_text() == "of a person"
 
 
 def test_an_oximeter_on_a_pty_with_a_link(tmp_path: Path) -> None:

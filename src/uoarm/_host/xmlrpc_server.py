@@ -54,7 +54,7 @@ class XmlRpcServer:
         try:
             self._server = _Server((_LOOPBACK, port))
         except OSError as error:
-            text = f"XML-RPC cannot listen on port {port} of {_LOOPBACK}: {error}"
+            text = f"XML-RPC cannot listen on port {port} of {_LOOPBACK}: {error.strerror}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         self._server.register_instance(_Database(bridge, endpoints))
         self._thread = threading.Thread(

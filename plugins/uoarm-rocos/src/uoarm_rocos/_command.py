@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
 import threading
@@ -166,7 +167,10 @@ def _end(line: dict[str, Any]) -> LineEnd:
     try:
         return PtyEnd(line["link"]) if line["pty"] else TcpEnd(line["tcp"])
     except OSError as error:
-        text = f"cannot open the line: {error}"
+        named = line["link"] or "a tty"
+        place = named if line["pty"] else f"port {line['tcp']} of loopback"
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        text = f"{place} cannot be opened: {reason}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 
 

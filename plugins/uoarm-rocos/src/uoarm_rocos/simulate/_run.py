@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import select
@@ -57,7 +58,11 @@ class LineEnd(ABC):
 
 
 class PtyEnd(LineEnd):
-    """A new pseudo-terminal; `link`, where given, always points to the present one."""
+    """A new pseudo-terminal; `link`, where given, always points to the present one.
+
+    Raises:
+        OSError: the link cannot be made, or something else stands there, which stays.
+    """
 
     framed = False
 
@@ -75,11 +80,21 @@ class PtyEnd(LineEnd):
         self._line = line  # kept open, so that the host may come and go
         path = os.ttyname(line)
         if self._link:
-            fresh = Path(f"{self._link}.new")
-            fresh.unlink(missing_ok=True)
-            fresh.symlink_to(path)
-            fresh.replace(self._link)
+            try:
+                self._point(path)
+            except OSError:
+                self._shut()
+                raise
         self.where = self._link or path
+
+    def _point(self, path: str) -> None:
+        link = Path(self._link)
+        if link.exists() and not link.is_symlink():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), self._link)
+        fresh = Path(f"{self._link}.new")
+        fresh.unlink(missing_ok=True)
+        fresh.symlink_to(path)
+        fresh.replace(link)
 
     def meet(self, timeout: float) -> bool:
         """Return at once: a host that opens the port cannot be noticed."""
@@ -108,12 +123,15 @@ class PtyEnd(LineEnd):
 
     def cut(self) -> None:
         """Remove the port; the next one has another number and the same link."""
+        self._shut()
+        if self._link:
+            Path(self._link).unlink(missing_ok=True)
+
+    def _shut(self) -> None:
         if self._device >= 0:
             os.close(self._device)
             os.close(self._line)
             self._device = -1
-        if self._link:
-            Path(self._link).unlink(missing_ok=True)
 
     def close(self) -> None:
         """Remove the port."""
