@@ -219,3 +219,12 @@ def test_a_schema_that_is_no_json_is_named(tmp_path: Path) -> None:
     checked = run(tmp_path / "a", "--check", "--against", str(tmp_path / "a"))
     assert checked.exit_code == 3
     assert "Order.schema: expected JSON, got what is no JSON" in checked.output
+
+
+@pytest.mark.parametrize("words", [("lock", "--lock"), ("types", "--python", "-o")])
+def test_no_configuration_is_written_over(tmp_path: Path, words: tuple[str, ...]) -> None:
+    file = str(robot(tmp_path) / "robot.yaml")
+    done = CliRunner().invoke(main, [*words, file, "-f", file])
+    assert done.exit_code == 3
+    assert f"{file}: it may be a configuration, and is not written over" in done.stderr
+    assert Path(file).read_text(encoding="utf-8") == ROBOT

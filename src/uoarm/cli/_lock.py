@@ -324,6 +324,10 @@ def _beside(file: str) -> Path:
 
 
 def _write_file(path: Path, text: str) -> None:
+    """Write a file that no configuration is lost for: nothing written here is YAML."""
+    if path.suffix in {".yaml", ".yml"} and path.exists():
+        text = f"{path}: it may be a configuration, and is not written over: name another file"
+        raise LockError(text)
     try:
         write_whole(path, text.encode())
     except OSError as error:
