@@ -30,6 +30,9 @@ from uoarm.model import (
 
 __all__ = ["NoPlanError", "Resolver", "find_replacement", "reachable_components"]
 
+Resolve = Callable[[str, frozenset[str]], Plan]
+"""Resolves a function without the components of these names, or raises ResolutionError."""
+
 _BUDGET = 1_000_000
 _SEARCHES = 3
 _TRIES = 50
@@ -184,10 +187,6 @@ class Resolver:
             return math.inf
         seconds = max(_LEAST_SECONDS, min(_MOST_SECONDS, _PATIENCE * seconds_unavailable))
         return self._clock() + seconds
-
-
-Resolve = Callable[[str, frozenset[str]], Plan]
-"""Resolves a function without the components of these names, or raises ResolutionError."""
 
 
 def find_replacement(
