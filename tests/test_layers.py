@@ -235,7 +235,9 @@ NOT_LOADED = {
     "import uoarm._host.__main__": (HEAVY - {"msgpack"})
     | {"client", "config", "environments", "server", "_adapt", "_control", "_resolve", "schema"},
     "import uoarm._host.remote_bridge": {"zenoh", "cryptography", "_host.machines"},
-    "import uoarm.cli": (HEAVY - {"click", "email"}) | PARTS_OF_OURS - {"cli"} | {"_control"},
+    "import uoarm.cli": (HEAVY - {"click", "email"})
+    | (PARTS_OF_OURS - {"cli"})
+    | {"attrs", "_control"},
     "import uoarm.cli._show": (HEAVY - {"click", "email", "yaml"})
     | {"_control", "_resolve", "_lock"},
 }

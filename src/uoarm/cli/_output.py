@@ -18,7 +18,6 @@ from typing import Any, TextIO, TypeVar, cast
 import click
 
 from uoarm._log_lines import JsonFormatter, StderrHandler, TextFormatter
-from uoarm._mistakes import Speller, any_of
 
 __all__ = [
     "add_log_options",
@@ -160,6 +159,8 @@ def _checked_level(given: str) -> str:
     """
     level = given.rpartition("=")[2].lower()
     if level not in _LEVELS:
+        from uoarm._mistakes import Speller, any_of  # noqa: PLC0415 - for mistakes only
+
         hint = Speller().guess(level, _LEVELS)
         expected = f"expected {any_of(_LEVELS)}, or LOGGER=LEVEL such as uoarm.control=debug"
         raise ValueError(f"{expected}; got {given!r}{hint and f'; {hint}'}")
@@ -181,6 +182,8 @@ def logging_to_stderr(context: click.Context) -> Iterator[None]:
             try:
                 log.take(given)
             except ValueError as error:
+                from uoarm._mistakes import any_of  # noqa: PLC0415 - for mistakes only
+
                 expected = f"{_VARIABLE}: {error}; or {any_of(_FORMS)}"
                 raise click.UsageError(expected, ctx=context) from error
         context.meta[_META] = log
