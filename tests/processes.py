@@ -1,9 +1,45 @@
 """What the kernel reports of a process whose threads come and go. Linux."""
 
+import signal
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["lives", "states", "thread_names"]
+from uoarm.testing import patience
+
+__all__ = ["hold_ends_all", "lives", "states", "thread_names"]
+
+
+def hold_ends_all(*command: str) -> None:
+    """Hold that SIGTERM ends a program with all that it started, in order, once it has printed.
+
+    Raises:
+        AssertionError: it writes a traceback, ends otherwise than with 130, or leaves a process.
+    """
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        started = [child for child in _of_session(process.pid) if child != process.pid]
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=patience())
+    assert started, f"{command} has started nothing that could be left"
+    assert "Traceback" not in said, said
+    assert process.returncode == 130, said
+    assert not [child for child in started if lives(child)]
+
+
+def _of_session(session: int) -> Iterator[int]:
+    for home in Path("/proc").iterdir():
+        if home.name.isdecimal():
+            try:
+                fields = (home / "stat").read_text(encoding="utf-8").rpartition(") ")[2].split()
+            except (FileNotFoundError, ProcessLookupError):
+                continue
+            if fields[3] == str(session):
+                yield int(home.name)
 
 
 def lives(process: int) -> bool:

@@ -7,6 +7,7 @@ is free, and gives a box that a dead vehicle had to another one.
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -141,4 +142,8 @@ def main(*given: int) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        main(*map(int, sys.argv[1:]))
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -11,6 +11,7 @@ import os
 import queue
 import secrets
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -129,7 +130,7 @@ def running(*, alone: bool) -> Iterator[Parts]:
             for name in ("old camera", "sensor"):
                 parts.start(name)
             yield parts
-        except BaseException:
+        except Exception:
             print(parts.log(), file=sys.stderr)
             raise
         finally:
@@ -188,7 +189,10 @@ class Reports:
 
 
 def main() -> int:
-    """Run it; the exit status is 1 when the application had no pictures, 2 for what is missing."""
+    """Run it; the exit status is 1 when the application had no pictures, 2 for what is missing.
+
+    130 when it was interrupted, by Ctrl-C or SIGTERM.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--times", type=int, default=3, help="how often the camera is killed")
     parser.add_argument("--patience", type=float, default=30, help="seconds to wait for a picture")
@@ -197,8 +201,12 @@ def main() -> int:
     if mosquitto() is None:
         print("mosquitto, the MQTT broker, is not here: apt install mosquitto", file=sys.stderr)
         return 2
-    with running(alone=options.alone) as parts:
-        return show(parts, options.times, options.patience)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with running(alone=options.alone) as parts:
+            return show(parts, options.times, options.patience)
+    except KeyboardInterrupt:
+        return 130
 
 
 def show(parts: Parts, times: int, patience: float) -> int:

@@ -6,6 +6,7 @@ Makes both environments when they are missing; that takes a minute or two and so
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -74,4 +75,8 @@ def _node(version: str, *command: Path | str) -> Iterator[subprocess.Popen[bytes
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.processes import hold_ends_all
+
 from uoarm.testing import free_port, patience
 
 DESK = Path(__file__).parents[2] / "examples" / "fleet" / "desk.py"
@@ -26,3 +28,7 @@ def test_every_box_arrives_although_a_vehicle_is_killed() -> None:
     assert "cat is killed" in done.stdout
     boxes = re.findall(r"has delivered (box \d+)", done.stdout)
     assert {*boxes} == {f"box {number}" for number in range(1, 13)}
+
+
+def test_a_signal_ends_every_vehicle() -> None:
+    hold_ends_all(sys.executable, str(DESK), *(str(free_port()) for _ in range(3)))

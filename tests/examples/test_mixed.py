@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.processes import hold_ends_all
 
 from uoarm.testing import patience
 
@@ -27,3 +28,7 @@ def test_the_camera_is_replaced_and_returned_to(alone: tuple[str, ...]) -> None:
         "it was started again: ROS 1 is back",
         "all is ended",
     ]
+
+
+def test_a_signal_ends_every_part() -> None:
+    hold_ends_all(sys.executable, "-u", str(SCRIPT))

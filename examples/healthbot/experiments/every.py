@@ -6,6 +6,7 @@ Exit code: 0 when all of them ran, 1 when one did not, 130 when interrupted.
 from __future__ import annotations
 
 import argparse
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -32,6 +33,7 @@ def main() -> int:
     if options.record:
         options.record.mkdir(parents=True, exist_ok=True)
     failed = 0
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         for name in _NAMES:
             print(f"... {name}", file=sys.stderr, flush=True)
