@@ -10,6 +10,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol, TypeVar
 from urllib.parse import unquote
 
@@ -88,7 +89,12 @@ def text(choices: Choices, length: int) -> str:
     return "".join(choices.item(CHARACTERS) for _ in range(length))
 
 
-_LANDMARKS = (0, 1, -1, 127, 128, 255, 256, -128, 2**31, 2**53, 2**53 + 1, -(2**63), 2**63, 2**64)
+_LANDMARKS = tuple(
+    map(
+        Fraction,
+        (0, 1, -1, 127, 128, 255, 256, -128, 2**31, 2**53, 2**53 + 1, -(2**63), 2**63, 2**64),
+    )
+)
 _LOWER, _UPPER = ("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaximum")
 _STEPS = (Fraction(0), Fraction(1), Fraction(-1), Fraction(1, 2), Fraction(-1, 2), Fraction(1, 10))
 Keywords = Mapping[str, object]
@@ -148,11 +154,7 @@ def draw_number(
 ) -> int | float:
     """A number at, or a step beside, a bound, a multiple or a landmark of ``schemas``."""
     bounds = list(_bounds(schemas))
-    anchors = (
-        [*bounds, *(Fraction(mark) for mark in _LANDMARKS)]
-        if bounds
-        else list(map(Fraction, _LANDMARKS))
-    )
+    anchors = [*bounds, *_LANDMARKS]
     value = (
         anchors[choices.integer(0, len(anchors) - 1)]
         if not (bounds and chance(choices, 75))
@@ -217,7 +219,10 @@ class InstanceDocument:
 
     def __init__(self, root: object) -> None:
         self._root = root
-        self._anchors = dict(_anchors(root))
+
+    @cached_property
+    def _anchors(self) -> dict[str, object]:
+        return dict(_anchors(self._root))
 
     def parts(self, choices: Choices, schemas: Iterable[object]) -> list[Keywords] | None:
         """The keyword sets that ``schemas`` ask for together, one branch of each union chosen.
