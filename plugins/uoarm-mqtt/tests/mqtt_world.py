@@ -50,36 +50,39 @@ VALUE = {
     "required": ["value"],
     "additionalProperties": False,
 }
+SERVICE = {"request": VALUE, "reply": VALUE}
 NAMES = itertools.count()
 
 
 class MqttWorld(World):
-    """Topics of its own on a broker that lasts longer than a test."""
+    """Topics of its own on a broker that lasts longer than a test.
 
-    def __init__(self, broker: Broker) -> None:
+    Args:
+        broker: that has them.
+        bridge_lasts: whether the bridge, too, lasts longer: its options name no world.
+    """
+
+    def __init__(self, broker: Broker, *, bridge_lasts: bool = False) -> None:
         self.broker = broker
         self.at = f"world{next(NAMES)}"
         self.peers: list[Peer] = []
-        self.peer().publish(f"{self.at}/schemas/{self.at}/found", json.dumps(VALUE), retain=True)
+        self._bridge_lasts = bridge_lasts
+        self._retained: dict[str, Any] = {f"described/{self.at}/found": VALUE}
+        if bridge_lasts:
+            self._retained |= {f"described/{self.at}/{name}": SERVICE for name in SERVICES}
+        self._retain()
 
     def spec(self) -> BridgeSpec:
-        services = {f"{self.at}/{name}": {"request": VALUE, "reply": VALUE} for name in SERVICES}
-        options = {
-            "url": self.broker.url,
-            "structures": {
-                f"{self.at}/nested": KINDS["nested"],
-                f"{self.at}/retained": VALUE,
-                f"{self.at}/victim/+": VALUE,
-            },
-            "services": services,
-            "schemas": f"{self.at}/schemas/{{topic}}",
-            "retained_wait": 0,
-        }
-        return BridgeSpec("mqtt", "mqtt", options)
+        if self._bridge_lasts:
+            return lasting_spec(self.broker)
+        services = {f"{self.at}/{name}": SERVICE for name in SERVICES}
+        return BridgeSpec(
+            "mqtt", "mqtt", {**lasting_spec(self.broker).options, "services": services}
+        )
 
     def endpoint(self, name: str, role: Role = Role.OUTPUT, **options: object) -> Endpoint:
         topic = f"{self.at}/{name}"
-        return Endpoint("mqtt", f"{name} component", role, (topic,), options=options)
+        return Endpoint("mqtt", f"{topic} component", role, (topic,), options=options)
 
     def pair(self, kind: str) -> Pair:
         content = "json" if kind == "nested" else kind
@@ -119,6 +122,7 @@ class MqttWorld(World):
 
     def mended(self) -> None:
         self.broker.start()
+        self._retain()  # the broker has forgotten it
 
     def unreadable(self, kind: str) -> Callable[[], object] | None:
         bad = {"nested": b'{"points": [', "text": b"\xff\xfe"}.get(kind)
@@ -154,11 +158,25 @@ class MqttWorld(World):
         return self.peers[-1]
 
     def close(self) -> None:
+        self._retained = dict.fromkeys(self._retained)  # or the next world is shown it
+        self._retain()
         for peer in self.peers:
             peer.close()
 
+    def _retain(self) -> None:
+        peer = self.peer()
+        for topic, schema in self._retained.items():
+            peer.publish(topic, "" if schema is None else json.dumps(schema), retain=True)
+
 
 SERVICES = ("double", "failing", "silent", "served")
+
+
+def lasting_spec(broker: Broker) -> BridgeSpec:
+    """Return a bridge to the topics of every world; what their services take is retained."""
+    structures = {"+/nested": KINDS["nested"], "+/retained": VALUE, "+/victim/+": VALUE}
+    options = {"url": broker.url, "structures": structures, "schemas": "described/{topic}"}
+    return BridgeSpec("mqtt", "mqtt", {**options, "retained_wait": 0})
 
 
 def double(request: bytes) -> bytes:

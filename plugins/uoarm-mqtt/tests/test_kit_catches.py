@@ -85,7 +85,7 @@ def test_a_bad_bridge_is_found_out(bug: Bug, broker: Broker, tmp_path: Path) -> 
             patch.setattr(bug.owner, bug.part, bug.replace(getattr(bug.owner, bug.part)))
             bridge = world.bridge()
             given: dict[str, Any] = {"world": world, "bridge": bridge, "kind": "nested"}
-            given["self"] = SimpleNamespace(kinds=tuple(KINDS))
+            given["self"] = SimpleNamespace(kinds=tuple(KINDS), hosted=False)
             if "served" in wanted:
                 given["served"] = world.served()
             try:
