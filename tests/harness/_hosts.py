@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import ClassVar
 
 import pytest
 from attrs import evolve
@@ -31,18 +32,29 @@ def shared_host(spec: BridgeSpec) -> Iterator[Bridge]:
 
 
 class SharesHost:
-    """The suite of a bridge in a host, of which the fixture `shared` gives one for all tests."""
+    """The suite of a bridge in a host, of which the fixture `shared` gives one for all tests.
+
+    Attributes:
+        harmful: further tests of the kit that end what the shared host has but once.
+    """
 
     hosted = True
+    harmful: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def has_own(cls, request: pytest.FixtureRequest) -> bool:
+        """Say whether a test gets a host of its own."""
+        name: str = request.function.__qualname__
+        return name.startswith((_BREAKING, _OF_ITS_OWN, *cls.harmful))
 
     @pytest.fixture
     def bridge(
         self, shared: Bridge, world: World, request: pytest.FixtureRequest
     ) -> Iterator[Bridge]:
         """Give a test the shared host, where it leaves nothing open, or one of its own."""
-        name = request.function.__qualname__
         can_break = type(world).broken is not World.broken
-        if name == _OF_ITS_OWN or (can_break and name.startswith(_BREAKING)):
+        is_breaking = request.function.__qualname__.startswith(_BREAKING)
+        if self.has_own(request) and (can_break or not is_breaking):
             own = world.bridge()
             yield own
             own.close()

@@ -6,16 +6,31 @@ import itertools
 import math
 import socket
 import threading
+from typing import Any, ClassVar
 
 import pytest
 from lines import LIMIT
 from rigs import running
+from uoarm_rocos._catalogue import (
+    Api,
+    ApiKind,
+    DataMessage,
+    DeviceCatalogue,
+    Direction,
+    Fields,
+    IntegerField,
+    NamedField,
+    OpenMessage,
+)
+from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._framing import LengthFramer
 from uoarm_rocos.devices._oximeters import ContecDecoder
 from uoarm_rocos.simulate import (
     BloodPressureMonitor,
     LineFaults,
     Oximeter,
     Person,
+    ProfileServer,
     Scenario,
     SimulatedRobot,
     TcpEnd,
@@ -105,6 +120,38 @@ def test_a_new_command_interrupts_a_drive() -> None:
     assert job(1.0) is None
     robot.take("velocity", {"linear": 0.0, "angular": 0.0}, 1.0)
     assert job(1.0) == {"outcome": "interrupted", "driven": 0.5}
+
+
+def test_what_came_before_a_flow_was_opened_is_not_sent_to_it() -> None:
+    """Though all of it comes in one read."""
+    flow: Fields = {"value": NamedField(IntegerField(0, 9))}
+
+    class Mirror(SimulatedRobot):
+        came: ClassVar[list[tuple[str, dict[str, Any]]]] = []
+
+        def take(self, api: str, values: dict[str, Any], now: float) -> None:
+            self.came.append((api, values))
+
+        def events(self, now: float) -> list[tuple[str, dict[str, Any]]]:
+            came = self.came.copy()
+            self.came.clear()
+            return came
+
+    mirror = Mirror(DeviceCatalogue("mirror", {"loop": Api("loop", ApiKind.FLOW, flow, flow)}))
+    codec, framer = XmlCodec(), LengthFramer()
+    sent = [
+        OpenMessage(0, 1, "loop", Direction.INPUT),
+        OpenMessage(1, 2, "loop", Direction.OUTPUT),
+        DataMessage(2, 1, {"value": 7}, 0.0),
+        OpenMessage(3, 3, "loop", Direction.OUTPUT),
+        DataMessage(4, 1, {"value": 8}, 0.0),
+    ]
+    device = ProfileServer(mirror, LengthFramer)
+    octets = b"".join(framer.frame(codec.write(message)) for message in sent)
+    answered = [*device.receive(octets, 0.0), *device.step(0.0)]
+    came = [codec.read(part) for frame in answered for part in LengthFramer().feed(frame)]
+    values = [(data.id, data.values["value"]) for data in came if isinstance(data, DataMessage)]
+    assert values == [(2, 7), (2, 8), (3, 8)]
 
 
 class _Sent:

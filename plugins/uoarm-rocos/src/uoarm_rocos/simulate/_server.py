@@ -128,15 +128,18 @@ class ProfileServer:
                     frames.append(self._frame(_closing(identity), now))
                     break
                 frames.append(self._frame(_data(identity, flow.api, sample, now), now))
-        for name, values in self._model.events(now):
-            frames += [
-                self._frame(_data(identity, flow.api, values, now), now)
-                for identity, flow in self._flows.items()
-                if flow.api.name == name and flow.direction is Direction.OUTPUT
-            ]
+        frames += [self._frame(build, now) for build in self._events(now)]
         if now - self._sent >= self._model.catalogue.heartbeat:
             frames.append(self._frame(HeartbeatMessage, now))
         return frames
+
+    def _events(self, now: float) -> list[Callable[[int], WireMessage]]:
+        return [
+            _data(identity, flow.api, values, now)
+            for name, values in self._model.events(now)
+            for identity, flow in self._flows.items()
+            if flow.api.name == name and flow.direction is Direction.OUTPUT
+        ]
 
     def _frame(self, build: Callable[[int], WireMessage], now: float) -> bytes:
         frame = self._framer.frame(self._codec.write(build(self._seq)))
@@ -187,9 +190,12 @@ class ProfileServer:
             return [_error(message.id, ErrorCode.UNKNOWN_API, text)]
         if len(self._flows) >= _MOST_CONVERSATIONS:
             return [_error(message.id, ErrorCode.BUSY, f"{_MOST_CONVERSATIONS} flows are open")]
+        # What happened before, such as by messages that came in one read with this one, is sent
+        # to those flows alone that were open then.
+        before = self._events(now)
         self._flows[message.id] = _OpenFlow(api, message.direction, now)
         name, identity, way = api.name, message.id, message.direction
-        return [lambda seq: OpenMessage(seq, identity, name, way)]
+        return [*before, lambda seq: OpenMessage(seq, identity, name, way)]
 
     def _take(self, message: DataMessage, now: float) -> list[Callable[[int], WireMessage]]:
         flow = self._flows.get(message.id)
