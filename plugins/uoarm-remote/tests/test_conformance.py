@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 
 import pytest
-from parts import stage
-from robots import ServedRobot
+from parts import renew, stage
+from robots import ServedRobot, here, named
+from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
 
+from uoarm.bridge import Bridge
+from uoarm.config import loads
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import patience
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
@@ -16,13 +20,22 @@ from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, W
 pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module")
 KINDS: tuple[str, ...] = ("integers", "image", "text", "pose")
 SERVICES = ("double", "failing", "silent")
+NUMBERS = itertools.count()
 
 
 class ManagerWorld(World):
-    """Functions of another manager, behind its server."""
+    """Functions of another manager, behind its server.
 
-    def __init__(self, robot: ServedRobot) -> None:
+    Args:
+        robot: that has them.
+        suffix: of their names; where there is one, the robot is given functions of such names.
+    """
+
+    def __init__(self, robot: ServedRobot, suffix: str = "") -> None:
         self._robot = robot
+        self._suffix = suffix
+        if suffix:
+            robot.manager.apply(loads(named(suffix), origin=here()), force=True)
 
     def spec(self) -> BridgeSpec:
         options = {
@@ -34,10 +47,10 @@ class ManagerWorld(World):
         return BridgeSpec("far", "remote", options)
 
     def pair(self, kind: str) -> Pair:
-        return Pair(at(kind, Role.INPUT), at(kind, Role.OUTPUT))
+        return Pair(self.at(kind, Role.INPUT), self.at(kind, Role.OUTPUT))
 
     def missing(self) -> Endpoint:
-        return at("nowhere", Role.OUTPUT)
+        return self.at("nowhere", Role.OUTPUT)
 
     def samples(self, kind: str) -> Sequence[Message]:
         if kind == "text":
@@ -52,7 +65,7 @@ class ManagerWorld(World):
         return self.victims()[0]
 
     def victims(self) -> Sequence[Victim]:
-        return [Victim(at(name, Role.OUTPUT), end.set) for name, end in stage.ends.items()]
+        return [Victim(self.at(name, Role.OUTPUT), end.set) for name, end in stage.ends.items()]
 
     def broken(self) -> bool:
         self._robot.stop()
@@ -61,14 +74,14 @@ class ManagerWorld(World):
     def mended(self) -> None:
         self._robot.start()
 
+    def at(self, name: str, role: Role) -> Endpoint:
+        name += self._suffix
+        return Endpoint("far", name, role, (name,), options={"backlog": 20_000})
+
     def served(self) -> Served:
-        first, failing, silent = (at(name, Role.SERVICE) for name in SERVICES)
+        first, failing, silent = (self.at(name, Role.SERVICE) for name in SERVICES)
         more = [({"value": number}, {"value": 2 * number}) for number in range(3)]
         return Served(first, {"value": 21}, {"value": 42}, failing, silent, more)
-
-
-def at(name: str, role: Role) -> Endpoint:
-    return Endpoint("far", name, role, (name,), options={"backlog": 20_000})
 
 
 class TestRemoteManager(BridgeConformance):
@@ -81,8 +94,33 @@ class TestRemoteManager(BridgeConformance):
         return ManagerWorld(robot)
 
 
-class TestInAHost(TestRemoteManager):
+@pytest.fixture(scope="module")
+def lasting() -> Iterator[ServedRobot]:
+    """A robot for all tests that do not end its server; each has functions of its own there."""
+    made = ServedRobot()
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def shared(lasting: ServedRobot) -> Iterator[Bridge]:
+    with shared_host(ManagerWorld(lasting).spec()) as made:
+        made.discover()  # connects it to the server, whose sockets are in this process
+        yield made
+
+
+# Threads of the lasting server, which begin with the first large message.
+@pytest.mark.keeps("thread 'uoarm-decode", "thread 'uoarm-encode")
+class TestInAHost(SharesHost, TestRemoteManager):  # type: ignore[misc]
     """The whole suite with the bridge in a process of its own."""
 
-    hosted = True
     kinds = KINDS[:2]
+
+    @pytest.fixture
+    def world(self, lasting: ServedRobot, request: pytest.FixtureRequest) -> Iterator[World]:
+        if self.has_own(request):
+            yield ManagerWorld(request.getfixturevalue("robot"))
+            return
+        renew()
+        yield ManagerWorld(lasting, f"_{next(NUMBERS)}")
+        renew()

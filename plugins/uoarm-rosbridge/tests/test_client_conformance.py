@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -10,8 +11,10 @@ from typing import Any
 import echoes
 import pytest
 from ros import Ros
+from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
+from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.server import ServerOptions, serve_in_thread
@@ -27,6 +30,8 @@ KINDS: tuple[str, ...] = (
     "image",
 )  # the first is a topic between clients
 SCALARS = "test_msgs/msg/Scalars"
+HERE = str(Path(__file__).parent / "robot.yaml")
+NUMBERS = itertools.count()
 
 
 class ServedRobot:
@@ -34,8 +39,7 @@ class ServedRobot:
 
     def __init__(self) -> None:
         echoes.release.clear()
-        here = str(Path(__file__).parent / "robot.yaml")
-        self._manager = RobotManager(loads(echoes.CONFIGURATION, origin=here))
+        self._manager = RobotManager(loads(echoes.CONFIGURATION, origin=HERE))
         self._serving = ExitStack()
         self.port = 0
 
@@ -44,6 +48,14 @@ class ServedRobot:
             serve_in_thread(self._manager, ServerOptions(port=self.port))
         )
         self.port = server.ports[0]
+        self._await_types()
+
+    def name(self, suffix: str) -> None:
+        """Have all functions of it end, and be there again under names with a suffix."""
+        self._manager.apply(loads(echoes.named(suffix), origin=HERE), force=True)
+        self._await_types()
+
+    def _await_types(self) -> None:
         # What a function's type is a server knows when it has looked.
         with Ros(f"ws://127.0.0.1:{self.port}/rosbridge") as client:
             asked = {"op": "call_service", "id": "1", "service": "/rosapi/message_details"}
@@ -65,10 +77,15 @@ class ServedRobot:
 
 
 class ServerWorld(World):
-    """Functions of a robot as topics and services of rosbridge."""
+    """Functions of a robot as topics and services of rosbridge.
 
-    def __init__(self, robot: ServedRobot) -> None:
-        self._robot = robot
+    Args:
+        robot: that has them, and is served.
+        suffix: of their names and of those of all topics.
+    """
+
+    def __init__(self, robot: ServedRobot, suffix: str = "") -> None:
+        self._robot, self._suffix = robot, suffix
         self._url = f"ws://127.0.0.1:{robot.port}/rosbridge"
         self._clients: list[Ros] = []
 
@@ -80,6 +97,7 @@ class ServerWorld(World):
         return self.at(f"/uoarm/{name}", role, *kind)
 
     def at(self, name: str, role: Role, *kind: str, **options: object) -> Endpoint:
+        name += self._suffix
         return Endpoint("far", f"{name} component", role, (name, *kind), options=options)
 
     def pair(self, kind: str) -> Pair:
@@ -120,7 +138,7 @@ class ServerWorld(World):
         made = []
         for name in ("first", "second"):
             client = self.client()
-            client.send(op="advertise", topic=f"/robot/{name}", type=SCALARS)
+            client.send(op="advertise", topic=f"/robot/{name}{self._suffix}", type=SCALARS)
             client.call("/rosapi/get_time")
             source = self.at(f"/robot/{name}", Role.OUTPUT)
             made.append(Victim(source, client.socket.close))
@@ -129,17 +147,17 @@ class ServerWorld(World):
     def unreadable(self, kind: str) -> Callable[[], object] | None:
         if kind != "between":  # of a function everything is checked before it is sent
             return None
-        client, topic = self.client(), f"/robot/{kind}"
+        client, topic = self.client(), f"/robot/{kind}{self._suffix}"
         return lambda: client.send(op="publish", topic=topic, type=SCALARS, msg={"flag": 1})
 
     def retained(self) -> Retained:
-        client = self.client()
+        client, name = self.client(), f"/robot/speed{self._suffix}"
 
         def emit() -> Message:
-            client.call("/rosapi/set_param", {"name": "/robot/speed", "value": "7"})
+            client.call("/rosapi/set_param", {"name": name, "value": "7"})
             return 7
 
-        client.call("/rosapi/set_param", {"name": "/robot/speed", "value": "6"})
+        client.call("/rosapi/set_param", {"name": name, "value": "6"})
         return Retained(self.at("/robot/speed", Role.OUTPUT, "parameter"), emit)
 
     def close(self) -> None:
@@ -183,11 +201,47 @@ class TestRosbridgeClient(BridgeConformance):
         robot.close()
 
 
-class TestInAHost(TestRosbridgeClient):
+@pytest.fixture(scope="module")
+def lasting() -> Iterator[ServedRobot]:
+    """A robot for all tests that do not end its server; each has names of its own there."""
+    robot = ServedRobot()
+    robot.start()
+    yield robot
+    robot.close()
+
+
+@pytest.fixture(scope="module")
+def shared(lasting: ServedRobot) -> Iterator[Bridge]:
+    world = ServerWorld(lasting)
+    with shared_host(world.spec()) as made:
+        served = world.served()
+        made.call(served.endpoint, served.request)  # connects: the server is in this process
+        yield made
+
+
+class TestInAHost(SharesHost, TestRosbridgeClient):  # type: ignore[misc]
     """The whole suite with the bridge in a process of its own."""
 
-    hosted = True
     kinds = ("between", "scalars")
+
+    @pytest.fixture
+    def world(
+        self, lasting: ServedRobot, shared: Bridge, request: pytest.FixtureRequest
+    ) -> Iterator[World]:
+        del shared  # begun before the functions have other names
+        robot, suffix = lasting, f"_{next(NUMBERS)}"
+        if self.has_own(request):
+            robot, suffix = ServedRobot(), ""
+            robot.start()
+        else:
+            echoes.release.clear()
+            robot.name(suffix)
+        made = ServerWorld(robot, suffix)
+        yield made
+        made.close()
+        echoes.release.set()
+        if robot is not lasting:
+            robot.close()
 
 
 def _rounded(value: Any) -> Any:
