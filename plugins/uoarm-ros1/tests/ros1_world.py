@@ -131,7 +131,7 @@ class Ros1World(World):
         return Retained(self.endpoint("retained", Role.OUTPUT, wait=patience()), emit)
 
     def served(self) -> Served:
-        peer = self.start()
+        peer = self.lasting
         for name, how in (("set", "ok"), ("failing", "fail"), ("silent", "silent")):
             peer.do("serve", service=f"{self.at}/{name}", type="std_srvs/SetBool", how=how)
         endpoints = [self.endpoint(name, Role.SERVICE) for name in ("set", "failing", "silent")]
