@@ -260,6 +260,25 @@ def test_a_snapshot_names_the_threads_that_stay() -> None:
     snapshot.check()
 
 
+def test_a_snapshot_takes_one_thread_in_the_place_of_another_that_has_ended() -> None:
+    """As where one reads on while the one that read before is stuck in a receiver."""
+    gates = [threading.Event() for _ in range(3)]
+    readers = [threading.Thread(target=gate.wait, name="reader") for gate in gates]
+    readers[0].start()
+    snapshot = ResourceSnapshot()
+    readers[1].start()
+    with pytest.raises(AssertionError, match="1 threads are left over: reader"):
+        snapshot.check(timeout=0.02)
+    gates[0].set()
+    readers[0].join()
+    snapshot.check()
+    readers[2].start()
+    with pytest.raises(AssertionError, match="1 threads are left over: reader"):
+        snapshot.check(timeout=0.02)
+    for gate in gates:
+        gate.set()
+
+
 def test_a_snapshot_waits_for_a_thread_that_is_about_to_begin() -> None:
     gate = threading.Event()
 

@@ -71,7 +71,8 @@ class Mirror:
         apis = {kind: Api(kind, ApiKind.FLOW, fields_of(kind), fields_of(kind)) for kind in KINDS}
         for name in ("double", "broken", "silent"):
             apis[name] = Api(name, ApiKind.SERVICE, VALUE, VALUE)
-        self.catalogue = DeviceCatalogue("mirror", apis)
+        # Nothing here ends by silence, which a busy machine is to these devices now and then.
+        self.catalogue = DeviceCatalogue("mirror", apis, heartbeat=min(patience() / 3, 60.0))
         self._came: list[tuple[str, dict[str, Any]]] = []
 
     def call(self, api: str, values: dict[str, Any], now: float) -> dict[str, Any] | Job:

@@ -7,6 +7,7 @@ import os
 import socket
 import threading
 import time
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 from random import SystemRandom
@@ -57,8 +58,9 @@ def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
 class ResourceSnapshot:
     """The threads and descriptors at one moment, to be compared with a later one.
 
-    The core's own idle step threads do not count: they end by themselves. Nor do threads that a
-    library started without Python, which call into it: Python does not know when they end.
+    The core's own idle step threads do not count: they end by themselves. Nor does one that took
+    the place of another of its name, which has ended. Nor do threads that a library started
+    without Python, which call into it: Python does not know when they end.
     """
 
     def __init__(self) -> None:
@@ -92,13 +94,20 @@ class ResourceSnapshot:
             pause.wait(_GLANCE_SECONDS)
 
     def _left_over(self) -> list[threading.Thread]:
-        return [
+        new = [
             thread
             for thread in threading.enumerate()
             if thread not in self._threads
             and thread.name != _OF_THE_CORE
             and not isinstance(thread, threading._DummyThread)  # noqa: SLF001 - these are never joined
         ]
+        replaced = Counter(thread.name for thread in self._threads if not thread.is_alive())
+        replaced &= Counter(thread.name for thread in new)
+        for thread in tuple(new):
+            if replaced[thread.name]:
+                replaced[thread.name] -= 1
+                new.remove(thread)
+        return new
 
 
 def _processor_seconds(others: tuple[int, ...]) -> float:
