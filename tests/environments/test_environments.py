@@ -73,6 +73,12 @@ def test_a_version_that_nothing_would_install_is_refused(more: str) -> None:
         environments.requirements("python", "jazzy")
 
 
+@pytest.mark.parametrize("plugin", ["plugins/uoarm-mqtt", "uoarm-mqtt", "mqtt>=1", ""])
+def test_a_package_is_no_name_of_a_plugin(plugin: str) -> None:
+    with pytest.raises(PluginError, match=r"is no name of a plugin.*--with"):
+        environments.requirements(plugin, None)
+
+
 @pytest.mark.parametrize(
     ("more", "stands"),
     [

@@ -96,8 +96,12 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
 
     Raises:
         PluginError: the plugin is installed here, and says that it has no such version; or it is
-            among the further requirements without its version, which nothing would install.
+            among the further requirements without its version, which nothing would install; or
+            what is named is a package or a path.
     """
+    if re.search(r"[^\w.-]|^uoarm-|^$", plugin):
+        text = f"{plugin!r} is no name of a plugin: expected one such as mqtt"
+        raise PluginEnvironmentError(f"{text}; a package or path goes to --with")
     ours = _requirement(installed(_CORE), _CORE, "hosts")
     point = next((entry for entry in entry_points(group=_GROUP) if entry.name == plugin), None)
     provider = None if point is None else point.dist
