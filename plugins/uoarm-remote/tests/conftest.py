@@ -21,6 +21,14 @@ settings.register_profile(
 settings.load_profile("remote")
 
 
+@pytest.fixture(autouse=True)
+def _anew() -> Iterator[None]:
+    """Have components forget what they took, also those of a robot that a test makes itself."""
+    renew()
+    yield
+    renew()
+
+
 @pytest.fixture
 def robot() -> Iterator[ServedRobot]:
     renew()
