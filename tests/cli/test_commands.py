@@ -16,6 +16,7 @@ from uoarm import Connection
 from uoarm.bridge import Registry, install_command
 from uoarm.cli import _run, main
 from uoarm.config import completed_schema
+from uoarm.environments import environment_python
 from uoarm.testing import ManualClock, patience, wait
 
 pytestmark = pytest.mark.keeps("descriptor of pipe")  # doctor: of ROS 2, for signals
@@ -457,6 +458,7 @@ functions:
       - {name: far, bridge: away, priority: 2, service: {endpoint: [a]}}
       - {name: farther, bridge: there, priority: 1, service: {endpoint: [a]}}
 """)
+    python = environment_python("x")
     done = CliRunner().invoke(main, ["check", str(tmp_path / "robot.yaml"), "--json"])
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
@@ -465,7 +467,8 @@ functions:
         (warning["place"]["line"], warning["sentence"].partition(":")[0])
         for warning in result["warnings"]
     }
-    assert at == {(2, "it was not checked")} | {(n, "it is unavailable here") for n in (7, 8, 9)}
+    bridges = {(2, "it was not checked"), (2, f"there is no Python interpreter at {python}")}
+    assert at == bridges | {(n, "it is unavailable here") for n in (7, 8, 9)}
     texts = " ".join(warning["sentence"] for warning in result["warnings"])
     assert "no module 'kitchn'" in texts
     assert "did you mean 'stove'" in texts

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from pathlib import Path as FilePath
 from typing import Any
 
 from uoarm._mistakes import Speller, schema_mistakes
@@ -184,9 +186,10 @@ class PluginChecker:
         )
 
     def absences(self, missing: Callable[[str], str]) -> Iterator[Problem]:
-        """Yield which bridges are not here, and which components `parameter_problems` did not find.
+        """Yield which bridges and interpreters are not here, and which components were not found.
 
-        A bridge in an environment of its own, or on another machine, is asked for there.
+        A bridge in an environment of its own, or on another machine, is asked for there. Components
+        are those of `parameter_problems`.
 
         Args:
             missing: says of a plugin's name why there is none.
@@ -195,11 +198,31 @@ class PluginChecker:
             if installation(self._hosts[name]) == installation(None):
                 text = f"it was not checked: {missing(plugin)}"
                 yield self._problem(("bridges", name), text, at_key=True)
+        yield from self._interpreters()
         yield from self._absent
         yield from self._undescribed
         for name in self._bridges:
             if not self._is_hosted(name) and name not in self._wrong_bridges:
                 yield from self._doubts(name)
+
+    def _interpreters(self) -> Iterator[Problem]:
+        """Yield which hosts have no Python here that could run them."""
+        from uoarm.environments import environment_python  # noqa: PLC0415 - when first needed
+
+        for name, host in self._hosts.items():
+            if not isinstance(host, dict):
+                continue
+            environment, python = host.get("environment"), host.get("python")
+            if isinstance(environment, str):
+                key, found = "environment", environment_python(environment)
+                hint = f"uoarm env create {environment} --plugin ... makes it"
+            elif isinstance(python, str):
+                key, found, hint = "python", FilePath(python).expanduser(), ""
+            else:
+                continue
+            if not os.access(found, os.X_OK):
+                text = f"there is no Python interpreter at {found}"
+                yield self._problem(("bridges", name, "host", key), text, hint)
 
     def _doubts(self, bridge: str) -> Iterator[Problem]:
         """Yield what a plugin doubts of the options and the addresses of a bridge."""
