@@ -55,6 +55,7 @@ def test_instances_are_valid_by_default(value: object) -> None:
         ({"type": "array", "minItems": 2, "maxItems": 7, "items": {"const": 1}}, 2),
         ({"anyOf": [{"const": "left"}, {"const": "right"}]}, "right"),
         ({"enum": [1, "two", [3]]}, [3]),
+        ({"$ref": "#there", "$defs": {"a": {"$anchor": "there", "const": "found"}}}, "found"),
         ({"type": "object", "properties": {"a": {"const": 1}}}, {"a": 1}),
         ({"type": "object", "properties": {"a": {"const": 1}}}, {}),
         ({"type": "integer", "multipleOf": 7, "minimum": 1}, 7),
