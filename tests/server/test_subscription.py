@@ -78,10 +78,15 @@ def write(number: int, message: object) -> bytes:
 
 
 def subscription(
-    reader: Reader, clock: ManualClock, throttle: Throttle | None = None, **options: Any
+    reader: Reader,
+    clock: ManualClock,
+    throttle: Throttle | None = None,
+    *,
+    text: bool = True,
+    **options: Any,
 ) -> Subscription:
     options = {"on_refused": pytest.fail, "on_end": pytest.fail, **options}
-    form = MessageForm("test", write, text=True)
+    form = MessageForm("test", write, text=text)
     return Subscription(reader, form, throttle=throttle, clock=clock, **options)
 
 
@@ -106,6 +111,32 @@ def test_the_newest_are_held_and_go_first_when_the_rate_is_lifted() -> None:
         assert made.skipped == 2
         assert reader.memory.kinds[MemoryUse.THROTTLED] == 0
         made.close()
+
+    run(work)
+
+
+@pytest.mark.parametrize("is_even", [True, False], ids=["waiting", "held"])
+def test_the_end_goes_after_all_that_waits_or_is_held(is_even: bool) -> None:
+    async def work(reader: Reader) -> None:
+        throttle = None if is_even else Throttle(LONG, is_even=False)
+
+        def end(state: str, cause: str) -> None:
+            made.finish(f"{state} {cause}".encode())
+
+        made = subscription(reader, ManualClock(), throttle, text=False, on_end=end)
+        if not is_even:
+            made.set_rate(LONG, 10)
+        feed = reader.feed()
+        made.begin(feed)
+        for message in "abc":
+            feed.take(message)
+        feed.finish("finished", "by itself")
+        frames: list[tuple[bytes, bool]] = []
+        while not reader.outbox.empty:
+            frames += await reader.outbox.next()
+        messages = [(b"1 a", False), (b"2 b", False), (b"3 c", False)]
+        assert frames == [*messages, (b"finished by itself", True)]
+        assert reader.memory.kinds[MemoryUse.THROTTLED] == 0
 
     run(work)
 

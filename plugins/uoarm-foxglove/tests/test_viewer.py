@@ -85,6 +85,15 @@ def test_octets_are_binary_in_cdr(serve: Serve) -> None:
         assert viewer.until(1)["data"] == int32(2) + struct.pack("<I", 2) + b"\x00\xff"
 
 
+def test_the_end_of_a_function_is_reported_after_its_last_message(serve: Serve) -> None:
+    numbers_script.put({"data": 1}, {"data": 2}, numbers_script.END)
+    with Viewer(serve()) as viewer:
+        viewer.subscribe("/numbers")
+        assert [viewer.until(1)["data"] for _ in range(2)] == [int32(1), int32(2)]
+        assert "/numbers has closed: " in viewer.until("status")["message"]
+        assert "status" not in {other["op"] for other in viewer.others}
+
+
 def test_no_more_comes_after_unsubscribing(serve: Serve, robot: RobotManager) -> None:
     with Viewer(serve()) as viewer:
         viewer.subscribe("/numbers")

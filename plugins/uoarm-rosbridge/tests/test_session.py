@@ -467,12 +467,20 @@ def test_the_level_of_status_messages_can_be_set_back(enter: Enter) -> None:
     assert "unknown op" in client.refused(op="dance", id="second")
 
 
-def test_the_end_of_a_function_is_reported(enter: Enter, robot: RobotManager) -> None:
+@pytest.mark.parametrize(
+    "options", [{}, {"compression": "cbor"}, {"throttle_rate": 3_600_000, "queue_length": 10}]
+)
+def test_the_end_of_a_function_is_reported_after_its_last_message(
+    enter: Enter, robot: RobotManager, options: dict[str, object]
+) -> None:
     client = enter()
-    client.send(op="subscribe", id="s", topic="/uoarm/numbers")
-    opened(robot, 1)
-    script.put({"value": 1}, END)
-    assert client.messages(1) == [{"value": 1}]
+    if not options:
+        script.put({"value": 1}, {"value": 2}, END)  # it has finished before it is received
+    client.send(op="subscribe", id="s", topic="/uoarm/numbers", **options)
+    if options:
+        opened(robot, 1)
+        script.put({"value": 1}, {"value": 2}, END)
+    assert client.messages(2) == [{"value": 1}, {"value": 2}]
     status = client.receive()
     assert status["id"] == "s"
     assert "finished" in status["msg"]

@@ -223,8 +223,7 @@ class FoxgloveSession:
         def on_end(text: str) -> None:
             ended = self._subscriptions.pop(number, None)
             if ended is not None:
-                ended.close()
-                self._status(StatusLevel.ERROR, f"{topic} {text}", topic)
+                ended.finish(self._written_status(StatusLevel.ERROR, f"{topic} {text}", topic))
 
         form = MessageForm(
             f"foxglove:{channel.number}",
@@ -423,8 +422,10 @@ class FoxgloveSession:
         self._status(StatusLevel.ERROR, coded_text(error), "")
 
     def _status(self, level: StatusLevel, text: str, asked: str) -> None:
-        frame = write("status", level=level.value, message=self._shown(text, asked))
-        self._client.outbox.reply(frame, text=True)
+        self._client.outbox.reply(self._written_status(level, text, asked), text=True)
+
+    def _written_status(self, level: StatusLevel, text: str, asked: str) -> bytes:
+        return write("status", level=level.value, message=self._shown(text, asked))
 
     def _shown(self, text: str, asked: str = "") -> str:
         """Return a text with no name that the client may not see, but for what it asked for."""

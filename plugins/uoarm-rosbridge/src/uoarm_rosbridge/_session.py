@@ -212,7 +212,9 @@ class RosbridgeSession:
         self._looking: asyncio.TimerHandle | None = None
         self._fragments_held = client.account.hold(MemoryUse.FRAGMENTS)
         self._tasks: set[asyncio.Task[None]] = set()
-        self._topics = Topics(client, backend, hub, addresses, self._fail, self._warn)
+        self._topics = Topics(
+            client, backend, hub, addresses, self._fail, self._warn, self._written_failure
+        )
         self._actions = Actions(client, backend, hub.actions, self._fail, self.ask)
         cancel = self._actions.cancel_all
         self._services = ClientServices(
@@ -386,6 +388,10 @@ class RosbridgeSession:
         else:
             self._send_status(_ERROR, fields, f"{code_of(error)}: {text}")
 
+    def _written_failure(self, fields: Mapping[str, Any], error: BaseException) -> bytes | None:
+        text = self._shown(coded_text(error), fields)
+        return self._written_status(_ERROR, fields, f"{code_of(error)}: {text}")
+
     def _warn(self, fields: Mapping[str, Any], text: str) -> None:
         self._send_status(_WARNING, fields, self._shown(text, fields))
 
@@ -398,13 +404,19 @@ class RosbridgeSession:
         return self._backend.role_views.of(self._client.role).text(text, words)
 
     def _send_status(self, level: int, fields: Mapping[str, Any], text: str) -> None:
+        report = self._written_status(level, fields, text)
+        if report is not None:
+            self._client.outbox.reply(report, text=True)
+
+    def _written_status(self, level: int, fields: Mapping[str, Any], text: str) -> bytes | None:
+        """Return a report; None where the client wants none of this level."""
         if self._level > level:
-            return
+            return None
         status: dict[str, Any] = {"op": "status", "level": _LEVELS[level], "msg": text}
         identity = identity_of(fields)
         if identity is not None:
             status["id"] = identity
-        self._client.outbox.reply(write_ros(status), text=True)
+        return write_ros(status)
 
 
 def _failed(fields: Mapping[str, Any], op: str, kind: str, text: str) -> bytes:

@@ -221,6 +221,7 @@ class Topics:
         addresses: of functions, which clients may ask for by them.
         fail: reports to the client what went wrong with a message of its.
         warn: reports to the client what it should know of a message of its.
+        write_failure: returns what `fail` sends; None where the client wants no such report.
     """
 
     _client: Client
@@ -229,6 +230,7 @@ class Topics:
     _addresses: Addresses
     _fail: Callable[[Fields, BaseException], None]
     _warn: Callable[[Fields, str], None]
+    _write_failure: Callable[[Fields, BaseException], bytes | None]
     _publications: dict[str, InputPublication | SharedPublication] = field(factory=dict, init=False)
     _latched: set[str] = field(factory=set, init=False)
     _subscriptions: dict[str, RosbridgeSubscription] = field(factory=dict, init=False)
@@ -337,7 +339,11 @@ class Topics:
         self, place: NamedPort, options: SubscribeOptions, fields: Fields
     ) -> RosbridgeSubscription:
         def on_end(state: str, cause: str) -> None:
-            on_failed(UoarmError(f"{place.name} has {state}: {cause or 'killed'}"))
+            ended = self._subscriptions.pop(place.name, None)
+            if ended is not None:
+                error = UoarmError(f"{place.name} has {state}: {cause or 'killed'}")
+                report = self._write_failure(fields, error)
+                ended.finish(*(() if report is None else (report,)))
 
         def on_failed(error: BaseException) -> None:
             if place.name in self._subscriptions:

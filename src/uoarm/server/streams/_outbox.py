@@ -41,6 +41,7 @@ class Lane:
         waiting: when they came, and messages in their pieces; oldest first.
         waiting_bytes: of them all.
         finished: whether its last message was added.
+        is_last_text: whether that one goes in text frames.
     """
 
     policy: QueuePolicy
@@ -52,6 +53,7 @@ class Lane:
     waiting: deque[tuple[float, tuple[bytes, ...]]] = field(factory=deque)
     waiting_bytes: int = 0
     finished: bool = False
+    is_last_text: bool = False
     length: int = field(init=False)
     is_for_new: bool = field(init=False)
     _refusal: str = field(default="", init=False)
@@ -231,8 +233,14 @@ class Outbox:
         lane.dropped += 1
         self.dropped += 1
 
-    def finish(self, lane: Lane, *frames: bytes) -> None:
-        """Add the last message of a stream, after all that waits of it; it is never dropped."""
+    def finish(self, lane: Lane, *frames: bytes, text: bool | None = None) -> None:
+        """Add the last message of a stream, after all that waits of it; it is never dropped.
+
+        Args:
+            lane: the stream.
+            frames: the pieces of the message.
+            text: whether it goes in text frames; None: as the others do.
+        """
         size = sum(map(len, frames))
         if self.overflowed or not self.has_room(size):
             self.overflowed = True
@@ -240,6 +248,7 @@ class Outbox:
         else:
             # From now on its last message is counted apart, and `_drop_somewhere` leaves it alone.
             lane.finished = True
+            lane.is_last_text = lane.text if text is None else text
             self._last_bytes += size
             self._add(lane, frames)
 
@@ -406,8 +415,10 @@ class Outbox:
         self._turns.remove(lane)
         if len(lane.waiting) > _FRESH:
             self._drop_stale(lane)
+        is_last = lane.finished and len(lane.waiting) == 1
+        text = lane.is_last_text if is_last else lane.text
         for piece in reversed(self._take(lane)):
-            self._pieces.appendleft((piece, lane.text))
+            self._pieces.appendleft((piece, text))
         lane.sent += 1
         # Noted at the first message that leaves: before that there is nothing a ping could measure.
         self._has_streamed |= lane.is_for_new

@@ -270,16 +270,29 @@ class Subscription:
 
     def ended(self, state: str, cause: str) -> None:
         """Wait for a provider that failed to come back, where that is asked for; else end."""
-        if self._reopen is not None:
+        if self._reopen is not None and state == "failed":
             # Before it is joined again: this feed has ended, and the next join opens another.
             self._leave()
-            if state == "failed":
-                self._reopen(cause)
-                return
+            self._reopen(cause)
+            return
+        # Nothing is due later: what is held goes now, while it is known of which feed it is.
+        while self._held:
+            self._send(self._let_go())
+        self._leave()
         self._on_end(state, cause)
+
+    def finish(self, *frames: bytes) -> None:
+        """Send what waits, then these text frames, and nothing more; give back as `close` does."""
+        if frames:
+            self._outbox.finish(self.lane, *frames, text=True)
+        self._give_back()
 
     def close(self) -> None:
         """Send nothing more, and give back what is held, and the feed that was followed."""
+        self._outbox.discard(self.lane)
+        self._give_back()
+
+    def _give_back(self) -> None:
         # First: a join that ends later would begin a feed that is never left.
         if self._opening is not None:
             self._opening.cancel()
@@ -288,7 +301,6 @@ class Subscription:
         self._held.clear()
         if self._charge is not None:
             self._charge.release()
-        self._outbox.discard(self.lane)
         self._leave()
 
     def _leave(self) -> None:
