@@ -28,7 +28,7 @@ from uoarm.record import Recording, RecordOptions
 from uoarm.record._file import KeptMessage, Ring
 from uoarm.record._forms import EVENTS
 from uoarm.record._options import Instant
-from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.testing import Background, MemoryBridge, patience, wait
 
 MakeRobot = Callable[[], RobotManager]
 BLOCK = QueuePolicy(length=1000, policy="block", timeout=600)
@@ -99,12 +99,15 @@ def test_a_takeover_is_in_the_file_with_its_gap(
     eye, spare = bridge.emitter("eye", COUNT), bridge.emitter("spare", COUNT)
     robot = make_robot()
     with robot.record("camera", path=tmp_path / "run.mcap", queue=BLOCK) as recording:
+        reported: list[str] = []
+        robot.listen(lambda event: reported.append(event.subject))  # after the recording is
         eye.emit({"n": 1})
         bridge.die("eye")
         wait(lambda: bool(spare.channels()), "it has happened")
         wait(lambda: bool(robot.connections()[0].gaps), "it has happened")
         spare.emit({"n": 2})
         wait(lambda: robot.connections()[0].gaps[0].counted, "it has happened")
+        wait(lambda: "component eye" in reported, "it has happened")
     (path,) = recording.status().files
     assert read_json_of(path, "/camera") == [{"n": 1}, {"n": 2}]
     events = read_json_of(path, "/uoarm/events")
@@ -429,13 +432,25 @@ def test_a_ring_is_written_at_its_end_where_its_function_failed(
 
 
 def test_it_says_that_it_was_closed(
-    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Also where it is closed while the writer looks whether the functions have ended."""
     bridge.emitter("clicks", COUNT)
-    for number in range(20):
-        with make_robot().record("counter", path=tmp_path / "run.mcap") as recording:
-            pass
-        assert recording.status().cause == "", number
+    looks, closed = threading.Event(), threading.Event()
+
+    def are_all_ended(_: Recording) -> bool:
+        looks.set()
+        return closed.wait(patience())
+
+    monkeypatch.setattr(Recording, "_are_all_ended", property(are_all_ended))
+    robot = make_robot()
+    recording = robot.record("counter", path=tmp_path / "run.mcap")
+    assert looks.wait(patience())
+    closing = Background(recording.close)
+    wait(lambda: not robot.connections())
+    closed.set()
+    closing.result()
+    assert recording.status().cause == ""
 
 
 def test_a_ring_counts_what_messages_cost_beside_their_own() -> None:

@@ -13,8 +13,7 @@ from tests.server.robot import END, script
 
 from uoarm import RobotManager
 from uoarm.cli import main
-from uoarm.testing import patience, wait
-from uoarm.testing._waiting import Background
+from uoarm.testing import Background, patience, wait
 
 Ask = Callable[..., Result]
 

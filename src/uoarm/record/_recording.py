@@ -331,8 +331,9 @@ class Recording:
                 break
             if is_closed and not items:
                 break
-            is_idle = not items and not len(self._arrivals) and not self._is_closing
-            if is_idle and self._are_all_ended:
+            is_idle = not items and not len(self._arrivals)
+            # In this order: `close` says that it closes before it ends the connections.
+            if is_idle and self._are_all_ended and not self._is_closing:
                 self._cause = "every function has ended"
                 break
         self._finish()
