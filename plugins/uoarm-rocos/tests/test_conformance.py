@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 from rigs import QUICK, endpoint, line_end, on_cable, running, served
-from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
 from uoarm_rocos._catalogue import (
     Api,
     ApiKind,
@@ -31,7 +30,6 @@ from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._framing import LengthFramer, StuffedFramer
 from uoarm_rocos.simulate import Job, ProfileServer
 
-from uoarm.bridge import Bridge
 from uoarm.model import BridgeSpec, Endpoint, Message
 from uoarm.testing import patience, slowness
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
@@ -190,42 +188,11 @@ class TestOverTcp(BridgeConformance):
         made.close()
 
 
-@pytest.fixture(scope="module")
-def lasting() -> Iterator[RocosWorld]:
-    """Devices for all tests that pull no cable, and kill none.
-
-    What came to a device goes to the flows that were open then: to none of the next test.
-    """
-    made = RocosWorld("tcp")
-    yield made
-    made.close()
-
-
-@pytest.fixture(scope="module")
-def shared(lasting: RocosWorld) -> Iterator[Bridge]:
-    with shared_host(lasting.spec()) as made:
-        made.discover()  # connects the devices, whose ends of the lines are in this process
-        yield made
-
-
-class TestInAHost(SharesHost, TestOverTcp):  # type: ignore[misc]
+class TestInAHost(TestOverTcp):
     """The whole suite with the bridge in a process of its own."""
 
+    hosted = True
     kinds = ("integers", "octets")
-    harmful = (
-        "DisturbanceRules.test_a_death_is_reported",
-        "DisturbanceRules.test_each_death_is_reported",
-    )
-
-    @pytest.fixture
-    def world(self, lasting: RocosWorld, request: pytest.FixtureRequest) -> Iterator[World]:
-        # A device speaks with one host, so one that a test starts has devices of its own, too.
-        if "bridge" in request.fixturenames and not self.has_own(request):
-            yield lasting
-            return
-        made = RocosWorld("tcp")
-        yield made
-        made.close()
 
 
 class TestOverTty(BridgeConformance):
