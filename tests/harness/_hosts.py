@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import ClassVar
 
 import pytest
 from attrs import evolve
@@ -14,11 +14,16 @@ from uoarm.model import BridgeSpec
 from uoarm.testing import patience
 from uoarm.testing.conformance import World
 
-__all__ = ["SharesHost", "shared_host"]
+__all__ = ["SharesHost", "renamed", "shared_host"]
 
 # Of the kit: those that break the world, and the one that looks for what a bridge still holds.
 _BREAKING = "Breaking."
 _OF_ITS_OWN = "EndingRules.test_what_is_closed_keeps_nothing_of_who_used_it"
+
+
+def renamed(configuration: str, suffix: str) -> str:
+    """Return a configuration with a suffix to the name of each function and component."""
+    return re.sub(r"(?m)(^  (?=\w)|name: )(\w+)", rf"\1\2{suffix}", configuration)
 
 
 @contextmanager
@@ -32,20 +37,15 @@ def shared_host(spec: BridgeSpec) -> Iterator[Bridge]:
 
 
 class SharesHost:
-    """The suite of a bridge in a host, of which the fixture `shared` gives one for all tests.
-
-    Attributes:
-        harmful: further tests of the kit that end what the shared host has but once.
-    """
+    """The suite of a bridge in a host, of which the fixture `shared` gives one for all tests."""
 
     hosted = True
-    harmful: ClassVar[tuple[str, ...]] = ()
 
-    @classmethod
-    def has_own(cls, request: pytest.FixtureRequest) -> bool:
+    @staticmethod
+    def has_own(request: pytest.FixtureRequest) -> bool:
         """Say whether a test gets a host of its own."""
         name: str = request.function.__qualname__
-        return name.startswith((_BREAKING, _OF_ITS_OWN, *cls.harmful))
+        return name.startswith((_BREAKING, _OF_ITS_OWN))
 
     @pytest.fixture
     def bridge(

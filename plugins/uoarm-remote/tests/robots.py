@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from uoarm.config import loads
 from uoarm.model import Robot
 from uoarm.server import Server, ServerOptions, serve_in_thread
 
-__all__ = ["ROBOT", "ServedRobot", "fleet", "here", "named"]
+__all__ = ["ROBOT", "ServedRobot", "fleet", "here"]
 
 ROBOT = """
 version: 1
@@ -58,11 +57,6 @@ functions:
         bridge: python
         input: {endpoint: ["parts:drive"], lifetime: 2.0, stop: {message: {speed: 0.0}}}
 """
-
-
-def named(suffix: str) -> str:
-    """Return the configuration with a suffix to the name of each function and component."""
-    return re.sub(r"(?m)(^  (?=\w)|name: )(\w+)", rf"\1\2{suffix}", ROBOT)
 
 
 def here(name: str = "robot.yaml") -> str:

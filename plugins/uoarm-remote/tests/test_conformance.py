@@ -6,9 +6,9 @@ import itertools
 from collections.abc import Iterator, Sequence
 
 import pytest
-from parts import renew, stage
-from robots import ServedRobot, here, named
-from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
+from parts import stage
+from robots import ROBOT, ServedRobot, here
+from tests.harness._hosts import SharesHost, renamed, shared_host  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge
 from uoarm.config import loads
@@ -35,7 +35,7 @@ class ManagerWorld(World):
         self._robot = robot
         self._suffix = suffix
         if suffix:
-            robot.manager.apply(loads(named(suffix), origin=here()), force=True)
+            robot.manager.apply(loads(renamed(ROBOT, suffix), origin=here()), force=True)
 
     def spec(self) -> BridgeSpec:
         options = {
@@ -117,10 +117,7 @@ class TestInAHost(SharesHost, TestRemoteManager):  # type: ignore[misc]
     kinds = KINDS[:2]
 
     @pytest.fixture
-    def world(self, lasting: ServedRobot, request: pytest.FixtureRequest) -> Iterator[World]:
+    def world(self, lasting: ServedRobot, request: pytest.FixtureRequest) -> World:
         if self.has_own(request):
-            yield ManagerWorld(request.getfixturevalue("robot"))
-            return
-        renew()
-        yield ManagerWorld(lasting, f"_{next(NUMBERS)}")
-        renew()
+            return ManagerWorld(request.getfixturevalue("robot"))
+        return ManagerWorld(lasting, f"_{next(NUMBERS)}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 from typing import Annotated, TypedDict
 
@@ -21,11 +20,6 @@ functions:
   silent: {components: [{name: silent, bridge: python, service: {endpoint: ["echoes:silent"]}}]}
 """
 release = threading.Event()
-
-
-def named(suffix: str) -> str:
-    """Return the configuration with a suffix to the name of each function and component."""
-    return re.sub(r"(?m)(^  (?=\w)|name: )(\w+)", rf"\1\2{suffix}", CONFIGURATION)
 
 
 class Scalars(TypedDict):

@@ -11,7 +11,7 @@ from typing import Any
 import echoes
 import pytest
 from ros import Ros
-from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
+from tests.harness._hosts import SharesHost, renamed, shared_host  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
@@ -52,7 +52,7 @@ class ServedRobot:
 
     def name(self, suffix: str) -> None:
         """Have all functions of it end, and be there again under names with a suffix."""
-        self._manager.apply(loads(echoes.named(suffix), origin=HERE), force=True)
+        self._manager.apply(loads(renamed(echoes.CONFIGURATION, suffix), origin=HERE), force=True)
         self._await_types()
 
     def _await_types(self) -> None:

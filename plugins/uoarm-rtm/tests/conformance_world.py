@@ -71,8 +71,8 @@ class RtmWorld(World):
 
     def close(self) -> None:
         """Remove the ports of this world."""
-        for name in self._loops:
-            self._loop.end_loop(name)
+        for kind in self._loops:
+            self._loop.end_loop(self._name(kind))
 
     def spec(self) -> BridgeSpec:
         limits = {"watch": 0.1, "call_timeout": ANSWERS}
@@ -81,18 +81,18 @@ class RtmWorld(World):
 
     def pair(self, kind: str) -> Pair:
         name = self._name(kind)
-        if name not in self._loops:
-            self._loops.add(name)
-            self._begin(name)
+        if kind not in self._loops:
+            self._loops.add(kind)
+            self._begin(kind)
         into = at(Role.INPUT, f"{name}_in", **OPTIONS.get(kind, {}))
         return Pair(into, at(Role.OUTPUT, f"{name}_out", **(PULLED if kind == "pulled" else {})))
 
     def _name(self, kind: str) -> str:
         return f"{kind}{self._number}"
 
-    def _begin(self, name: str) -> None:
-        kind = name.removesuffix(str(self._number))
-        self._loop.loop(name, KINDS[kind], PULLED["rate"] if kind == "pulled" else 0.0)
+    def _begin(self, kind: str) -> None:
+        rate = PULLED["rate"] if kind == "pulled" else 0.0
+        self._loop.loop(self._name(kind), KINDS[kind], rate)
 
     def missing(self) -> Endpoint:
         return Endpoint("rtm", "missing", Role.OUTPUT, ("Missing.rtc", "out"))
@@ -144,8 +144,8 @@ class RtmWorld(World):
     def mended(self) -> None:
         self._loop.appear()
         begin_loop(self._loop)
-        for name in self._loops:
-            self._begin(name)
+        for kind in self._loops:
+            self._begin(kind)
 
     def unreadable(self, kind: str) -> Callable[[], object]:
         return lambda: self._loop.emit_octets(self._name(kind), "ff")

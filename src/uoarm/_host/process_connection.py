@@ -29,7 +29,7 @@ from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._log_lines import HOST_LINE, read_host_line
 from uoarm._support.process_tuning import KEEPING
 from uoarm.bridge import CONTRACT_VERSION
-from uoarm.environments import environment_python, passed_on
+from uoarm.environments import find_interpreter, passed_on
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import BridgeSpec, Options
 
@@ -274,14 +274,8 @@ class HostSettings:
         Raises:
             BridgeError: it is not there; the text says how to make it.
         """
-        if self.environment is not None:
-            found = environment_python(self.environment)
-            hint = f"make it: uoarm env create {self.environment} --plugin ..."
-        elif self.python is not None:
-            found, hint = Path(self.python).expanduser(), "check the path under `python`"
-        else:
-            return Path(sys.executable)
-        if not os.access(found, os.X_OK):
+        found, hint = find_interpreter(self.environment, self.python)
+        if hint:
             text = f"there is no Python interpreter at {found}; {hint}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         return found

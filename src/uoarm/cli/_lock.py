@@ -33,7 +33,13 @@ from uoarm._support.files import write_whole
 from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm.bridge import Registry
 from uoarm.cli._output import echo
-from uoarm.cli._shared import REFUSED, print_warning, reporting, takes_configuration
+from uoarm.cli._shared import (
+    CONFIGURATION_ENDINGS,
+    REFUSED,
+    print_warning,
+    reporting,
+    takes_configuration,
+)
 from uoarm.config import load
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan, to_json, write_json
@@ -324,10 +330,10 @@ def _beside(file: str) -> Path:
 
 
 def _write_file(path: Path, text: str) -> None:
-    """Write a file that no configuration is lost for: nothing written here is YAML."""
-    if path.suffix in {".yaml", ".yml"} and path.exists():
-        text = f"{path}: it may be a configuration, and is not written over: name another file"
-        raise LockError(text)
+    """Write a file, but not over a configuration: nothing that is written here is YAML."""
+    if path.name.endswith(CONFIGURATION_ENDINGS) and path.exists():
+        cause = "it may be a configuration, and is not written over: name another file"
+        raise LockError(f"{path}: {cause}")
     try:
         write_whole(path, text.encode())
     except OSError as error:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from uoarm.model import Function, Message
 
 __all__ = [
+    "CONFIGURATION_ENDINGS",
     "STANDARD",
     "DefaultConfiguration",
     "FunctionArgument",
@@ -57,7 +58,7 @@ REFUSED, CONFIGURATION, BRIDGE, INTERRUPTED = 1, 3, 4, 130
 JSON = "uoarm.json"  # of the context: whether `--json` is among the words
 _NAMED = 20
 STANDARD = "robot.yaml"
-_ENDINGS = (".yaml", ".yml")
+CONFIGURATION_ENDINGS = (".yaml", ".yml")
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
@@ -368,7 +369,7 @@ def takes_configuration(
         def with_file(**options: Any) -> Any:
             context = click.get_current_context()
             if listed:
-                files = [word for word in options[listed] if word.endswith(_ENDINGS)]
+                files = [word for word in options[listed] if word.endswith(CONFIGURATION_ENDINGS)]
                 options[listed] = tuple(word for word in options[listed] if word not in files)
                 place = files[0] if files else None
             else:
@@ -401,7 +402,7 @@ def takes_configuration(
 def _sorted(context: click.Context, words: tuple[str, ...], options: dict[str, Any]) -> str | None:
     """Give each word of a command what is meant for it; return the configuration among them."""
     place: str | None = options.pop("place")
-    if place is not None and place.endswith(_ENDINGS):
+    if place is not None and place.endswith(CONFIGURATION_ENDINGS):
         return place
     is_optioned = context.get_parameter_source("file") is ParameterSource.COMMANDLINE
     given = [
@@ -409,7 +410,7 @@ def _sorted(context: click.Context, words: tuple[str, ...], options: dict[str, A
         for word in words
         if context.get_parameter_source(word) is ParameterSource.COMMANDLINE
     ]
-    files = [word for word in given if word.endswith(_ENDINGS)]
+    files = [word for word in given if word.endswith(CONFIGURATION_ENDINGS)]
     if not files or (is_optioned and place is None):
         return place
     given.remove(files[0])

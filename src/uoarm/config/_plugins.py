@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from pathlib import Path as FilePath
 from typing import Any
 
 from uoarm._mistakes import Speller, schema_mistakes
@@ -25,7 +23,7 @@ from uoarm.config._parts import (
     offers,
     problem_at,
 )
-from uoarm.config._shape import ShapeChecker, assignables, installation
+from uoarm.config._shape import OF_A_HOST, ShapeChecker, assignables, installation
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Role, Schema
 
@@ -207,22 +205,15 @@ class PluginChecker:
 
     def _interpreters(self) -> Iterator[Problem]:
         """Yield which hosts have no Python here that could run them."""
-        from uoarm.environments import environment_python  # noqa: PLC0415 - when first needed
+        from uoarm.environments import find_interpreter  # noqa: PLC0415 - when first needed
 
         for name, host in self._hosts.items():
-            if not isinstance(host, dict):
-                continue
-            environment, python = host.get("environment"), host.get("python")
-            if isinstance(environment, str):
-                key, found = "environment", environment_python(environment)
-                hint = f"uoarm env create {environment} --plugin ... makes it"
-            elif isinstance(python, str):
-                key, found, hint = "python", FilePath(python).expanduser(), ""
-            else:
-                continue
-            if not os.access(found, os.X_OK):
+            given = host if isinstance(host, dict) else {}
+            named = {key: given[key] for key in OF_A_HOST if isinstance(given.get(key), str)}
+            found, hint = find_interpreter(**named)
+            if hint:
                 text = f"there is no Python interpreter at {found}"
-                yield self._problem(("bridges", name, "host", key), text, hint)
+                yield self._problem(("bridges", name, "host", next(iter(named))), text, hint)
 
     def _doubts(self, bridge: str) -> Iterator[Problem]:
         """Yield what a plugin doubts of the options and the addresses of a bridge."""

@@ -40,6 +40,7 @@ from uoarm.model import BridgeSpec, Options, Robot
 
 __all__ = [
     "ASSIGN",
+    "OF_A_HOST",
     "Assignable",
     "ShapeChecker",
     "assign",
@@ -292,7 +293,7 @@ def _keys(value: Mapping[str, object]) -> str:
 
 
 ASSIGN = "x-uoarm-assign"
-_OF_A_HOST = ("environment", "python")
+OF_A_HOST = ("environment", "python")
 
 
 @frozen
@@ -333,7 +334,7 @@ def installation(host: object) -> str:
     """Name the installation that a bridge runs with, from its `host:`; empty: our own."""
     if not isinstance(host, Mapping):
         return ""
-    return " ".join(f"{name} {host[name]}" for name in _OF_A_HOST if host.get(name))
+    return " ".join(f"{name} {host[name]}" for name in OF_A_HOST if host.get(name))
 
 
 def assign(robot: Robot, types: Mapping[str, BridgeType]) -> Robot:

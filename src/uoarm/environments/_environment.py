@@ -25,6 +25,7 @@ __all__ = [
     "environment_python",
     "examine",
     "extras_in",
+    "find_interpreter",
     "installed",
     "listed",
     "passed_on",
@@ -82,6 +83,23 @@ def environment_folder(name: str) -> Path:
 def environment_python(name: str) -> Path:
     """Return the interpreter of an environment, which may not be there."""
     return environment_folder(name) / "bin" / "python"
+
+
+def find_interpreter(environment: str | None = None, python: str | None = None) -> tuple[Path, str]:
+    """Return the interpreter that a host asks for, and what helps where it is not there, else "".
+
+    Args:
+        environment: the name of one that the interpreter is of.
+        python: its path, where no environment is named; neither: the one that runs this.
+    """
+    if environment is not None:
+        found = environment_python(environment)
+        hint = f"make it: uoarm env create {environment} --plugin ..."
+    elif python is not None:
+        found, hint = Path(python).expanduser(), "check the path under `python`"
+    else:
+        return Path(sys.executable), ""
+    return found, "" if os.access(found, os.X_OK) else hint
 
 
 def installed(name: str) -> Path:

@@ -378,22 +378,24 @@ class RosbridgeSession:
         self._level = _LEVELS.index(fields["level"])
 
     def _fail(self, fields: Mapping[str, Any], error: BaseException) -> None:
-        text = self._shown(coded_text(error), fields)
         op = fields.get("op")
         if op == "service_response" or not isinstance(op, str):  # it may have been an answer
-            self._services.refused(fields, text)
+            self._services.refused(fields, self._failure_text(fields, error))
         if isinstance(op, str) and op in _ANSWERED:
-            answer = _failed(fields, *_ANSWERED[op], text)
+            answer = _failed(fields, *_ANSWERED[op], self._failure_text(fields, error))
             self._client.outbox.reply(answer, text=True)
         else:
-            self._send_status(_ERROR, fields, f"{code_of(error)}: {text}")
+            self._report(self._written_failure(fields, error))
+
+    def _failure_text(self, fields: Mapping[str, Any], error: BaseException) -> str:
+        return self._shown(coded_text(error), fields)
 
     def _written_failure(self, fields: Mapping[str, Any], error: BaseException) -> bytes | None:
-        text = self._shown(coded_text(error), fields)
-        return self._written_status(_ERROR, fields, f"{code_of(error)}: {text}")
+        text = f"{code_of(error)}: {self._failure_text(fields, error)}"
+        return self._written_status(_ERROR, fields, text)
 
     def _warn(self, fields: Mapping[str, Any], text: str) -> None:
-        self._send_status(_WARNING, fields, self._shown(text, fields))
+        self._report(self._written_status(_WARNING, fields, self._shown(text, fields)))
 
     def _shown(self, text: str, fields: Mapping[str, Any]) -> str:
         """Return a text with no name that the client may not see, but for those it used."""
@@ -403,8 +405,7 @@ class RosbridgeSession:
         words = " ".join(item[:_LONGEST_NAME] for item in used if isinstance(item, str))
         return self._backend.role_views.of(self._client.role).text(text, words)
 
-    def _send_status(self, level: int, fields: Mapping[str, Any], text: str) -> None:
-        report = self._written_status(level, fields, text)
+    def _report(self, report: bytes | None) -> None:
         if report is not None:
             self._client.outbox.reply(report, text=True)
 
