@@ -21,6 +21,7 @@ from uoarm_rocos._catalogue import (
     IntegerField,
     NamedField,
     OpenMessage,
+    WireMessage,
 )
 from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._framing import LengthFramer
@@ -139,7 +140,7 @@ def test_what_came_before_a_flow_was_opened_is_not_sent_to_it() -> None:
 
     mirror = Mirror(DeviceCatalogue("mirror", {"loop": Api("loop", ApiKind.FLOW, flow, flow)}))
     codec, framer = XmlCodec(), LengthFramer()
-    sent = [
+    sent: list[WireMessage] = [
         OpenMessage(0, 1, "loop", Direction.INPUT),
         OpenMessage(1, 2, "loop", Direction.OUTPUT),
         DataMessage(2, 1, {"value": 7}, 0.0),
