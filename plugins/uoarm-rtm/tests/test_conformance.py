@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterator
 import pytest
 from conformance_world import KINDS, TYPES_IDL, RtmWorld, begin_loop
 from peers import Peer
+from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
 
+from uoarm.bridge import Bridge
 from uoarm.testing.conformance import BridgeConformance, World
 
 
@@ -36,9 +38,14 @@ class TestRtmBridge(BridgeConformance):
 HOSTS = importlib.util.find_spec("zenoh") is not None
 
 
+@pytest.fixture(scope="module")
+def shared(loop: Peer, nameserver: str) -> Iterator[Bridge]:
+    with shared_host(RtmWorld(nameserver, loop, Peer).spec()) as made:
+        yield made
+
+
 @pytest.mark.skipif(not HOSTS, reason="needs uoarm[hosts]")
-class TestHostedRtmBridge(TestRtmBridge):
+class TestHostedRtmBridge(SharesHost, TestRtmBridge):  # type: ignore[misc]
     """The suite through a bridge host, whose link has its own tests: two kinds are enough."""
 
-    hosted = True
     kinds = ("ranges", "text")

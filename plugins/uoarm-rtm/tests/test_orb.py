@@ -2,34 +2,43 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
-import omniORB
 import pytest
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
 from uoarm_rtm import _orb
 from uoarm_rtm._orb import Orb, deliveries
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.testing import Background, ResourceSnapshot, patience, wait
+from uoarm.testing import Background, patience, wait
 
 PUSHES = """
 import sys, threading
+import omniORB
 from omniORB import CORBA
 from _uoarm_rtm_stubs import OpenRTM
-orb = CORBA.ORB_init(["peer", "-ORBoutConScanPeriod", "0"], CORBA.ORB_ID)
+orb = CORBA.ORB_init(["peer", "-ORBscanGranularity", "1", *sys.argv[2:]], CORBA.ORB_ID)
 inlet = orb.string_to_object(sys.argv[1])._narrow(OpenRTM.InPortCdr)
+omniORB.setClientCallTimeout(inlet, 600_000)  # with a limit omniORB does not call again by itself
 print("ready", flush=True)
+def put():
+    try:
+        inlet.put(b"")
+    except CORBA.Exception as error:
+        print("failed", error, flush=True)
+    else:
+        print("put", flush=True)
 for count in sys.stdin:
-    pushing = [threading.Thread(target=inlet.put, args=(b"",)) for _ in range(int(count))]
+    pushing = [threading.Thread(target=put) for _ in range(int(count))]
     for thread in pushing:
         thread.start()
     for thread in pushing:
         thread.join()
-    print("put", flush=True)
 """
 
 
@@ -46,11 +55,11 @@ class Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, without
 
 
 class Pusher:
-    """A process that pushes, and keeps the connections that it has opened."""
+    """A process that pushes, and closes the connections that it has opened after some seconds."""
 
-    def __init__(self, reference: str) -> None:
+    def __init__(self, reference: str, idle_seconds: int) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-c", PUSHES, reference],
+            [sys.executable, "-c", PUSHES, reference, "-ORBoutConScanPeriod", str(idle_seconds)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -59,11 +68,15 @@ class Pusher:
 
     def push(self, count: int) -> None:
         self.begin(count)
-        assert self._line() == "put\n"
+        self.done(count)
 
     def begin(self, count: int) -> None:
         assert self.process.stdin is not None
         print(count, file=self.process.stdin, flush=True)
+
+    def done(self, count: int) -> None:
+        for _ in range(count):
+            assert self._line() == "put\n"
 
     def end(self) -> None:
         self.process.kill()
@@ -74,24 +87,35 @@ class Pusher:
         return self.process.stdout.readline()
 
 
-def test_connections_that_a_peer_leaves_idle_go_with_their_threads(
+def test_idle_connections_are_closed_by_the_peer_that_opened_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_orb, "_IDLE_SECONDS", "1")
+    """One that our side closes costs the peer its next message, and so a component its port."""
+    monkeypatch.setattr(_orb, "_IDLE_SECONDS", "1")  # of those that we open
     monkeypatch.setenv("ORBscanGranularity", "1")
     assert _orb._shared.users == 0, "an ORB that is running already has another limit"
     orb, inlet = Orb("127.0.0.1", patience()), Inlet()
-    pusher = Pusher(orb.text(orb.serve(inlet)))
+    reference = orb.text(orb.serve(inlet))
+    pushers = keeps, closes = Pusher(reference, 0), Pusher(reference, 3)
     try:
-        snapshot = ResourceSnapshot()
+        before = _count_sockets()
+        keeps.push(1)
+        closes.push(1)
         inlet.together = threading.Barrier(3)
-        pusher.push(3)
-        assert _count_workers() > 1, "the peer has opened no second connection"
-        snapshot.check()
+        closes.begin(2)
+        wait(lambda: inlet.together.n_waiting == 2)
+        assert _count_sockets() == before + 3, "the peer has opened no second connection"
+        inlet.together.wait(patience())
+        closes.done(2)
+        wait(lambda: _count_sockets() <= before + 1)
         inlet.together = threading.Barrier(1)
-        pusher.push(1)  # a connection that was closed is opened again
+        keeps.push(1)  # idle for longer than any limit of ours
+        keeps.end()
+        wait(lambda: _count_sockets() == before)
+        closes.push(1)  # opens one again
     finally:
-        pusher.end()
+        for pusher in pushers:
+            pusher.end()
         orb.close()
 
 
@@ -101,7 +125,7 @@ def test_the_last_close_does_not_wait_for_a_delivery_and_the_next_orb_does(
     assert _orb._shared.users == 0
     orb, inlet = Orb("127.0.0.1", patience()), Inlet()
     inlet.together = threading.Barrier(2)
-    pusher = Pusher(orb.text(orb.serve(inlet)))
+    pusher = Pusher(orb.text(orb.serve(inlet)), 0)
     try:
         pusher.begin(1)
         wait(lambda: inlet.together.n_waiting)
@@ -119,5 +143,9 @@ def test_the_last_close_does_not_wait_for_a_delivery_and_the_next_orb_does(
         pusher.end()
 
 
-def _count_workers() -> int:
-    return sum(isinstance(thread, omniORB.WorkerThread) for thread in threading.enumerate())
+def _count_sockets() -> int:
+    count = 0
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):  # that of the listing itself
+            count += str(descriptor.readlink()).startswith("socket:")
+    return count

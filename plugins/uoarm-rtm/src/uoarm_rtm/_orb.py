@@ -316,10 +316,10 @@ def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
             "supportPerThreadTimeOut": "1",
             "endPoint": f"giop:tcp:{address}:",
             "giopMaxMsgSize": str(most_octets),
-            # A peer that calls twice at once opens one connection more, which has a thread here.
-            # Both go when they are idle: omniORB keeps them for minutes by default. A peer that
-            # calls again in that moment connects again.
-            "inConScanPeriod": _IDLE_SECONDS,
+            # What is idle is closed by the side that opened it: ours after ten seconds, since each
+            # has a thread; a peer's after its own limit, by default 120 s. Where a server closes,
+            # the client's next call fails if calls there have a time limit, and a component that
+            # had paused drops its port's connection. Ours, as a server, stays at omniORB's 180 s.
             "outConScanPeriod": _IDLE_SECONDS,
             "traceLevel": "0",
         }
