@@ -20,11 +20,14 @@ from tests.disk import full_after
 from tests.record.conftest import COUNT, PICTURE, ROBOT, messages, of_topic, readable
 
 from uoarm import Connection, RobotManager
+from uoarm._control.engine.actions import Announce
 from uoarm._control.live import connection_runtime
+from uoarm._control.live.driver import Driver
 from uoarm.cdr import Codec
+from uoarm.cli._record import summary
 from uoarm.errors import ResolutionError, UsageError
 from uoarm.model import Message, MessageStructure, QueuePolicy, StatusEvent
-from uoarm.record import Recording, RecordOptions
+from uoarm.record import Recording, RecordOptions, _recording
 from uoarm.record._file import KeptMessage, Ring
 from uoarm.record._forms import EVENTS
 from uoarm.record._options import Instant
@@ -258,7 +261,7 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(
                 ["counter"],
                 tmp_path / "run.mcap",
                 RecordOptions(compression="none", chunk_octets=10_000, queue=BLOCK),
-                robot._events.post,
+                robot._events,
             )
             sent = 0
             while not recording.ended:
@@ -329,11 +332,13 @@ def test_a_step_of_the_clock_begins_a_new_file(
 ) -> None:
     clicks = bridge.emitter("clicks", COUNT)
     now = [Instant(10**18, 0)]
+    robot = make_robot()
     recording = Recording(
-        make_robot(),
+        robot,
         ["counter"],
         tmp_path / "run.mcap",
         RecordOptions.of(queue=BLOCK),
+        robot._events,
         clock=lambda: now[0],
     )
     with recording:
@@ -354,11 +359,13 @@ def test_a_ring_is_written_on_demand_and_on_a_failure(
 ) -> None:
     clicks, eye = bridge.emitter("clicks", COUNT), bridge.emitter("eye", COUNT)
     now = [Instant(10**18, 0)]
+    robot = make_robot()
     recording = Recording(
-        make_robot(),
+        robot,
         ["counter", "camera"],
         tmp_path / "run.mcap",
         RecordOptions.of(ring=5.0, queue=BLOCK),
+        robot._events,
         clock=lambda: now[0],
     )
     with recording:
@@ -409,28 +416,6 @@ def test_what_fails_together_is_in_one_file_of_a_ring(
     assert [item["n"] for item in read_json_of(second, "/sensor0")] == [100]
 
 
-def test_a_ring_is_written_at_its_end_where_its_function_failed(
-    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
-) -> None:
-    """The event of the failure may come after the end of the connection."""
-    clicks = bridge.emitter("clicks", COUNT)
-    robot = make_robot()
-    go_on = threading.Event()
-
-    def delay(event: StatusEvent) -> None:
-        del event
-        go_on.wait(patience())
-
-    robot.listen(delay)
-    with robot.record("counter", path=tmp_path / "run.mcap", ring=60) as recording:
-        clicks.emit({"n": 1})
-        bridge.die("clicks")
-        assert recording.wait(patience())
-        go_on.set()
-    (path,) = recording.status().files
-    assert read_json_of(path, "/counter") == [{"n": 1}]
-
-
 def test_it_says_that_it_was_closed(
     bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -465,9 +450,8 @@ def test_a_ring_that_is_not_written_in_time_says_so_and_is_written_later(
     bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
 ) -> None:
     clicks = bridge.emitter("clicks", COUNT)
-    recording = Recording(
-        make_robot(), ["counter"], tmp_path / "run.mcap", RecordOptions.of(ring=60.0, queue=BLOCK)
-    )
+    robot, options = make_robot(), RecordOptions.of(ring=60.0, queue=BLOCK)
+    recording = Recording(robot, ["counter"], tmp_path / "run.mcap", options, robot._events)
     with recording:
         form, go_on = recording._tracks[0].form, threading.Event()
         assert form is not None
@@ -542,3 +526,97 @@ def test_kill_9_loses_the_last_chunk_at_most(tmp_path: Path, turn: int) -> None:
     assert numbers == list(range(len(numbers)))
     # A chunk has 256 KiB, so at most so many of these messages; the queue has a hundred.
     assert len(numbers) >= sent - 262_144 // 38 - 100
+
+
+@pytest.mark.parametrize("ring", [None, 60.0])
+@pytest.mark.parametrize("is_closed", [True, False])
+def test_what_happened_before_its_end_is_in_the_file(
+    bridge: MemoryBridge,
+    make_robot: MakeRobot,
+    tmp_path: Path,
+    is_closed: bool,
+    ring: float | None,
+) -> None:
+    """Also while a listener holds up all that listen after it."""
+    clicks = bridge.emitter("clicks", COUNT)
+    robot, go_on = make_robot(), threading.Event()
+
+    def hold_up(event: StatusEvent) -> None:
+        del event
+        go_on.wait(patience())
+
+    robot.listen(hold_up)
+    try:
+        with robot.record("counter", path=tmp_path / "run.mcap", ring=ring) as recording:
+            clicks.emit({"n": 1})
+            bridge.die("clicks")
+            if is_closed:
+                wait(lambda: not robot.connections(), "it has happened")
+            else:
+                assert recording.wait(patience())
+    finally:
+        go_on.set()
+    files = recording.status().files
+    assert read_json_of(files[0], "/counter") == [{"n": 1}]
+    events = [event for file in files for event in read_json_of(file, "/uoarm/events")]
+    happened = [(event["subject"].partition(" ")[0], event["change"]) for event in events]
+    assert ("component", "lost") in happened
+    assert ("connection", "failed") in happened
+
+
+def test_that_a_function_has_ended_is_in_the_file_though_its_state_is_seen_first(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    robot, kills = make_robot(), threading.Event()
+    announce, kill = Driver._announce, Connection.kill
+
+    def announce_late(driver: Driver, action: Announce) -> None:
+        if action.change == "failed":
+            kills.wait(patience())
+        announce(driver, action)
+
+    def kill_seen(connection: Connection) -> None:
+        kills.set()
+        kill(connection)
+
+    monkeypatch.setattr(Driver, "_announce", announce_late)
+    monkeypatch.setattr(Connection, "kill", kill_seen)
+    with robot.record("counter", path=tmp_path / "run.mcap") as recording:
+        bridge.die("clicks")
+        assert recording.wait(patience())
+    events = read_json_of(recording.status().files[0], "/uoarm/events")
+    assert "failed" in [event["change"] for event in events]
+
+
+def test_events_that_find_no_room_before_the_writer_are_counted(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_recording, "_MOST_EVENTS", 3)
+    clicks = bridge.emitter("clicks", COUNT)
+    held, go_on = threading.Event(), threading.Event()
+    robot = make_robot()
+    with robot.record("counter", path=tmp_path / "run.mcap") as recording:
+        form = recording._tracks[0].form
+        assert form is not None
+        encode = form.encode
+
+        def slow(message: Message) -> bytes:
+            held.set()
+            go_on.wait(patience())
+            return encode(message)
+
+        object.__setattr__(form, "encode", slow)
+        clicks.emit({"n": 1})
+        assert held.wait(patience())
+        for number in range(10):
+            robot._events.post("test", str(number))
+        go_on.set()
+    status = recording.status()
+    (path,) = status.files
+    changes = [event["change"] for event in read_json_of(path, "/uoarm/events")]
+    left = [change for change in changes if change.isdigit()]
+    assert left == [str(number) for number in range(10 - len(left), 10)]
+    assert status.dropped == {"events": 10 - len(left)}
+    assert summary(status).endswith(f"\n  {10 - len(left)} events lost before the writer")
+    assert len(left) < 4

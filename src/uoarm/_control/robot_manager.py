@@ -347,7 +347,7 @@ class RobotManager(RobotView):
             functions,
             Path(path).absolute(),
             recorder.RecordOptions.of(**options),
-            self._events.post,
+            self._events,
             timeout=timeout,
             identity=f"r{next(self._recording_numbers)}",
         )

@@ -153,7 +153,7 @@ def _line(status: RecordingStatus, seconds: float) -> str:
 def summary(status: RecordingStatus) -> str:
     """Return what was recorded and lost, a line for each file and function."""
     lines = [*status.files] or ["no file was written"]
-    is_whole = not status.dropped.keys() - {"closed"}
+    is_whole = not status.dropped.keys() - {"closed", "events"}
     why = "came as it ended" if is_whole else "lost before the writer"
     for channel in status.channels:
         more = f", {channel.unwritable:,} without a form" if channel.unwritable else ""
@@ -161,6 +161,8 @@ def summary(status: RecordingStatus) -> str:
         lost = f", {missing:,} {why}" if missing else ""
         text = f"{channel.recorded:,} messages as {channel.encoding}"
         lines.append(f"  {channel.function}: {text}{more}{lost}")
+    if status.dropped.get("events"):
+        lines.append(f"  {status.dropped['events']:,} events lost before the writer")
     return "\n".join(lines)
 
 

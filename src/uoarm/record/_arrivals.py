@@ -28,7 +28,14 @@ from uoarm.model import (
     message_octets,
 )
 
-__all__ = ["Arrivals", "ArrivingTrack", "ReadOctets", "RecordedConnection", "RecordedRobot"]
+__all__ = [
+    "Arrivals",
+    "ArrivingTrack",
+    "ReadOctets",
+    "RecordedConnection",
+    "RecordedEvents",
+    "RecordedRobot",
+]
 
 _GATHER_SECONDS = 0.05
 _LARGE_OCTETS = 65_536
@@ -64,7 +71,13 @@ class RecordedRobot(Protocol):
     def request(
         self, name: str, *, validate: str, on_message: Callable[[Any], None], timeout: float
     ) -> RecordedConnection: ...
-    def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]: ...
+
+
+class RecordedEvents(Protocol):
+    """What a manager announces, as far as a recording uses it."""
+
+    def post(self, subject: str, change: str, cause: str = ..., function: str = ...) -> None: ...
+    def observe(self, observer: Callable[[StatusEvent], None]) -> Callable[[], None]: ...
 
 
 class ArrivingTrack(Protocol):

@@ -299,7 +299,7 @@ class RecordingStatus:
         files: the paths, oldest first.
         octets: of all files.
         channels: what came of each function.
-        dropped: messages that were lost before the writer, by reason.
+        dropped: messages that were lost before the writer, by reason; as `events` status events.
         seconds: for which it has run.
     """
 

@@ -8,7 +8,7 @@ import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
@@ -20,7 +20,13 @@ from typing_extensions import Self
 from uoarm._raised import LimitedLog, text_of
 from uoarm.errors import MessageError, UoarmError, UsageError
 from uoarm.model import Gap, Message, StatusEvent
-from uoarm.record._arrivals import Arrivals, ReadOctets, RecordedConnection, RecordedRobot
+from uoarm.record._arrivals import (
+    Arrivals,
+    ReadOctets,
+    RecordedConnection,
+    RecordedEvents,
+    RecordedRobot,
+)
 from uoarm.record._file import (
     KeptMessage,
     McapFile,
@@ -101,7 +107,7 @@ class Recording:
         functions: Sequence[str],
         path: Path,
         options: RecordOptions,
-        report: Callable[[str, str, str], object] = lambda *_: None,
+        events: RecordedEvents,
         *,
         timeout: float = 60.0,
         clock: Callable[[], tuple[int, int]] = _now,
@@ -116,12 +122,14 @@ class Recording:
         if not os.path.isdir(path.parent):  # noqa: PTH112 - that raises for names too long
             raise UsageError(f"{path} cannot be made: there is no folder {path.parent}")
         self._path, self._options, self._moment = path, options, clock
-        self._robot, self._report = robot, report
+        self._robot, self._report, self._observe = robot, events.post, events.observe
         self._dropped: Counter[str] = Counter()
         # Guards the counter, which the threads of all functions and the writer count up.
         self._counting = threading.Lock()
-        # Appended to by the thread of the manager's listeners, taken from by the writer.
-        self._events: deque[tuple[Instant, Mapping[str, Any]]] = deque(maxlen=_MOST_EVENTS)
+        # Appended to by whatever thread posts an event, one at a time; taken from by the writer.
+        self._events: deque[tuple[Instant, StatusEvent]] = deque(maxlen=_MOST_EVENTS)
+        # Of the next event; a later one in its place says how many found no room.
+        self._next_event = 0
         self._wanted: deque[tuple[str, Future[str] | None]] = deque()
         self._event_form = EVENTS
         self._ring = None if options.ring is None else Ring(options.ring, options.ring_octets)
@@ -138,7 +146,7 @@ class Recording:
         self._schedule = RecordingSchedule(options, self._last)
         self._tracks = [_Track(function) for function in functions]
         self._arrivals: Arrivals[_Track] = Arrivals(options.queue, self._tracks, self._drop)
-        self._end_listening: Callable[[], None] = lambda: None
+        self._end_observing: Callable[[], None] = lambda: None
         if options.ring is None:
             # Before anything is opened: a path that cannot be written costs no connection.
             self._file = self._begin_file()
@@ -237,7 +245,7 @@ class Recording:
     # What follows until `_run` is called by the thread that made it, or that of messages or events.
 
     def _open(self, timeout: float) -> None:
-        self._end_listening = self._robot.listen(self._take_event)
+        self._end_observing = self._observe(self._take_event)
         for track in self._tracks:
             connection = self._robot.request(
                 track.function,
@@ -265,7 +273,9 @@ class Recording:
             self._event_form = ros_events()
 
     def _take_event(self, event: StatusEvent) -> None:
-        self._events.append((self._clock(), event_message(event)))
+        if not self._next_event:  # nothing has been taken yet
+            self._next_event = event.number
+        self._events.append((self._clock(), event))
         kind = event.subject.partition(" ")[0]
         if self._options.ring is not None and event.change in _FAILURES and kind != "recording":
             self._wanted.append((str(event), None))
@@ -281,10 +291,11 @@ class Recording:
                 self._dropped[reason] += count
 
     def _kill(self) -> None:
-        self._end_listening()
         for track in self._tracks:
             if track.connection is not None:
                 track.connection.kill()
+        # After that: a kill returns when all that happened before it has been announced.
+        self._end_observing()
 
     # What follows is called by the writer alone.
 
@@ -334,6 +345,7 @@ class Recording:
             is_idle = not items and not len(self._arrivals)
             # In this order: `close` says that it closes before it ends the connections.
             if is_idle and self._are_all_ended and not self._is_closing:
+                self._kill()  # that a connection has ended is seen before it is announced
                 self._cause = "every function has ended"
                 break
         self._finish()
@@ -436,9 +448,9 @@ class Recording:
     def _split(self, at: Instant, before: Instant) -> McapFile:
         file = self._file
         assert file is not None, "only a ring has none"
-        # With the time of what came last: this one may be of a clock that was set back.
-        self._events.append((before, self._own_event("split", self._schedule.split_cause)))
         self._write_events(file)
+        # With the time of what came last: this one may be of a clock that was set back.
+        self._write_event(file, before, self._own_event("split", self._schedule.split_cause))
         self._end_file(file)
         self._file = file = self._begin_file()
         self._describe(file, at)
@@ -447,14 +459,20 @@ class Recording:
     def _own_event(self, change: str, cause: str) -> Mapping[str, Any]:
         return {"subject": self._subject, "change": change, "cause": cause, "function": ""}
 
-    def _write_events(self, file: McapFile) -> None:
-        while self._events:
+    def _take_events(self, until: float = math.inf) -> Iterator[tuple[Instant, Mapping[str, Any]]]:
+        while self._events and self._events[0][0].steady <= until:
             at, event = self._events.popleft()
-            if not file.has_channels:
-                self._describe(file, at)
+            self._drop("events", event.number - self._next_event)
+            self._next_event = event.number + 1
+            yield at, event_message(event)
+
+    def _write_events(self, file: McapFile) -> None:
+        for at, event in self._take_events():
             self._write_event(file, at, event)
 
     def _write_event(self, file: McapFile, at: Instant, event: Mapping[str, Any]) -> None:
+        if not file.has_channels:
+            self._describe(file, at)
         self._add_event(file, at, event)
         for track in self._tracks:
             connection = track.connection
@@ -506,8 +524,6 @@ class Recording:
         if file is not None:
             self._write_events(file)
             event = self._own_event("ended", self._cause or "it was closed")
-            if not file.has_channels:
-                self._describe(file, self._clock())
             self._write_event(file, self._clock(), event)
             self._end_file(file)
             self._file = None
@@ -549,8 +565,7 @@ class Recording:
         return due is not RecordingStep.END
 
     def _keep_events(self, ring: Ring, until: Instant) -> None:
-        while self._events and self._events[0][0].steady <= until.steady:
-            at, event = self._events.popleft()
+        for at, event in self._take_events(until.steady):
             ring.keep(KeptMessage(self._event_form, at, self._event_form.encode(event), 0))
 
     def _write_wanted(self, ring: Ring, count: int) -> None:
@@ -575,12 +590,11 @@ class Recording:
             written.set_result(found) if isinstance(found, str) else written.set_exception(found)
 
     def _finish_ring(self, ring: Ring) -> None:
-        """Write what is left where something failed: an event of it may still be on its way."""
-        causes = [t.connection.cause for t in self._tracks if t.connection and t.connection.ended]
-        cause = self._unwritten_failure or next(filter(None, causes), "")
-        if cause and not self._is_closing:
-            self._keep_events(ring, self._clock())
-            self._write_ring(ring, cause)
+        """Write what is left where something failed, also what has only just."""
+        self._keep_events(ring, self._clock())
+        self._write_wanted(ring, len(self._wanted))
+        if self._unwritten_failure:
+            self._write_ring(ring, self._unwritten_failure)
 
     def _write_ring(self, ring: Ring, cause: str) -> str:
         """Write what is kept into a file of its own; it is gone from the ring then."""

@@ -1,4 +1,4 @@
-"""Listeners of changes: events get a number, and are brought to them in order, by one thread."""
+"""Who is told of changes: events get a number, and come in order; to listeners in one thread."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ _log = logging.getLogger("uoarm")
 class EventDispatcher:
     """Numbers events and calls listeners, in a thread of its own: nothing waits for a listener.
 
+    Observers are called at once: they miss nothing that happened before they end.
+
     The thread begins with the first listener, and is woken only while there are some. Deaths and
     takeovers have a record in the log each, written by the same thread: at most twenty in ten
     seconds for a component or a bridge, and for all connections together.
@@ -31,10 +33,11 @@ class EventDispatcher:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         # Held from the number of an event to its place in the queue: listeners get them in order.
-        # None is called with it.
+        # No listener is called with it.
         self._lock = threading.Lock()
         self._number = 0
         self._listeners: tuple[Callable[[StatusEvent], None], ...] = ()
+        self._observers: tuple[Callable[[StatusEvent], None], ...] = ()
         self._events: SimpleQueue[StatusEvent | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
         self._records: dict[str, LimitedLog] = {}
@@ -43,11 +46,30 @@ class EventDispatcher:
         """Number one change and have the listeners called. Waits for nothing."""
         with self._lock:
             self._number += 1
-            if self._listeners or change in _RECORDED:
+            is_queued = self._listeners or change in _RECORDED
+            if not (is_queued or self._observers):
+                return
+            event = StatusEvent(self._number, self._clock(), subject, change, cause, function)
+            for observer in self._observers:
+                observer(event)
+            if is_queued:
                 self._start()
-                now = self._clock()
-                event = StatusEvent(self._number, now, subject, change, cause, function)
                 self._events.put(event)
+
+    def observe(self, observer: Callable[[StatusEvent], None]) -> Callable[[], None]:
+        """Call an observer with every change from now on, within `post`; returns what ends that.
+
+        It runs in whatever thread posts, under the lock: it stores the event, and neither waits,
+        raises nor posts.
+        """
+        with self._lock:
+            self._observers = (*self._observers, observer)
+
+        def end() -> None:
+            with self._lock:
+                self._observers = _without(self._observers, observer)
+
+        return end
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Call a listener for every change from now on; returns what ends that."""
@@ -57,9 +79,7 @@ class EventDispatcher:
 
         def end() -> None:
             with self._lock:
-                self._listeners = tuple(
-                    callback for callback in self._listeners if callback is not listener
-                )
+                self._listeners = _without(self._listeners, listener)
 
         return end
 
@@ -98,3 +118,9 @@ class EventDispatcher:
                 foreign(listener, event)
             except Exception:  # noqa: BLE001 - a listener may raise anything
                 _log.exception("listener %r failed at event %d", listener, event.number)
+
+
+def _without(
+    callbacks: tuple[Callable[[StatusEvent], None], ...], gone: Callable[[StatusEvent], None]
+) -> tuple[Callable[[StatusEvent], None], ...]:
+    return tuple(callback for callback in callbacks if callback is not gone)
