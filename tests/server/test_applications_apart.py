@@ -12,7 +12,7 @@ from tests.server.conftest import Serve
 from tests.server.robot import END, script
 
 from uoarm import RobotManager
-from uoarm.cli import main
+from uoarm.cli import _run, main
 from uoarm.testing import Background, patience, wait
 
 Ask = Callable[..., Result]
@@ -69,6 +69,21 @@ def test_it_ends_when_its_source_has_finished(ask: Ask) -> None:
 def test_it_ends_after_the_seconds_it_is_given(ask: Ask) -> None:
     result = ask("request", "numbers", "--duration", "0.1")
     assert (result.stdout, result.exit_code) == ("", 0)
+
+
+def test_what_keeps_messages_from_coming_is_a_warning(
+    ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uoarm.client._client._DIAGNOSIS_SECONDS", patience())
+    warnings: list[str] = []
+    monkeypatch.setattr(_run, "print_warning", warnings.append)
+    asking = Background(lambda: ask("request", "doubled"))
+    script.put({"value": 1}, {"value": object()})
+    start = "numbers is degraded: its output 'default' gave what does not match"
+    wait(lambda: any(warning.startswith(start) for warning in warnings))
+    script.put({"value": 3}, END)
+    assert asking.result().stdout == '{"value": 2}\n{"value": 6}\n'
+    assert len(set(warnings)) == len(warnings)
 
 
 def test_a_failure_is_named_with_exit_code_4(ask: Ask) -> None:

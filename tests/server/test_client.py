@@ -94,7 +94,7 @@ def test_a_silence_says_what_was_refused_last(
         await stream.get(patience())
         said = ""
         while not re.search(why, said):  # until it has come so far; `run` bounds it
-            said = await client._diagnose(stream.connection)
+            said = "; ".join(await client._diagnose(stream.connection))
             said += f"the server could not send the last message: {stream._refusal}"
         with pytest.raises(TimeoutError, match=rf"^no message within .* s; {why}"):
             await stream.get(0.01)

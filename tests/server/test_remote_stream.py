@@ -15,8 +15,8 @@ async def _never(*_: object, **__: object) -> Any:
     raise AssertionError("nothing is asked here")
 
 
-async def _diagnose(connection: str) -> str:
-    return f"; nothing feeds {connection}"
+async def _diagnose(connection: str) -> tuple[str, ...]:
+    return (f"nothing feeds {connection}", "it waits")
 
 
 def _stream() -> RemoteStream:
@@ -26,17 +26,23 @@ def _stream() -> RemoteStream:
 
 def test_nothing_in_time_is_a_timeout() -> None:
     async def play() -> None:
-        with pytest.raises(TimeoutError, match=r"^no message within 0\.01 s; nothing feeds c1$"):
-            await _stream().get(0.01)
+        stream = _stream()
+        text = r"^no message within 0\.01 s; nothing feeds c1; it waits$"
+        with pytest.raises(TimeoutError, match=text):
+            await stream.get(0.01)
+        assert stream.trouble == ("nothing feeds c1", "it waits")
+        stream.take(1, 5)
+        assert await stream.get(0.01) == 5
+        assert not stream.trouble
 
     asyncio.run(play())
 
 
 def test_what_comes_while_it_is_asked_why_nothing_came_is_given() -> None:
     async def play() -> object:
-        async def diagnose(_: str) -> str:
+        async def diagnose(_: str) -> tuple[str, ...]:
             stream.take(1, 5)
-            return "; nothing came"
+            return ("nothing came",)
 
         stream = RemoteStream(
             {"connection": "c1", "inputs": [], "warnings": []}, {}, _never, diagnose, 8

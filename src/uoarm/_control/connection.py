@@ -29,7 +29,7 @@ from uoarm.model import (
     Plan,
     RouteStatus,
     StatusMap,
-    format_trouble,
+    find_trouble,
 )
 
 __all__ = ["Connection"]
@@ -302,7 +302,7 @@ class Connection(Generic[T]):
             connections=(self.status(),),
             routes=(*live.routes(), *self.routes()),
         )
-        return format_trouble(asdict(status), self.id)
+        return "".join(f"; {cause}" for cause in find_trouble(asdict(status), self.id))
 
     def _on_wake(self, wake: Callable[[], None] | None) -> None:
         """Have `wake` called when a message or the end can be read; for event loops."""

@@ -175,8 +175,8 @@ def _request_there(
                 break
             try:
                 message = await stream.get(left)
-            except TimeoutError as error:
-                why = str(error).partition("; ")[2]
+            except TimeoutError:
+                why = "; ".join(stream.trouble)
                 if why and why not in said:
                     said.add(why)
                     print_warning(why)

@@ -30,7 +30,7 @@ from uoarm.client._questions import (
 )
 from uoarm.client._socket import ClientSocket
 from uoarm.client._stream import RemoteStream
-from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, format_trouble
+from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, find_trouble
 
 __all__ = ["RemoteRobot", "ServerAddress", "ServerError", "connect"]
 
@@ -286,13 +286,11 @@ class RemoteRobot(ServerQuestions):
         self._status = merged_status(known, await self.ask("Status", **since))
         return self._status
 
-    async def _diagnose(self, connection: str) -> str:
+    async def _diagnose(self, connection: str) -> tuple[str, ...]:
         """Say what keeps messages from coming, as far as the server says so at once."""
         with suppress(errors.UoarmError, asyncio.TimeoutError):
-            return format_trouble(
-                await result_within(_DIAGNOSIS_SECONDS, self.status()), connection
-            )
-        return ""
+            return find_trouble(await result_within(_DIAGNOSIS_SECONDS, self.status()), connection)
+        return ()
 
     async def watch(self) -> AsyncIterator[StatusEvent]:
         """Yield changes of the robot until the connection ends for good; see `connect`.

@@ -37,6 +37,8 @@ class RemoteStream(Generic[T]):
         gaps: how often the server began anew meanwhile, so that it is not known what was lost.
         state: `open`; or how it ended: `closed`, `finished` or `failed`.
         cause: why it ended; empty while it is open, and where this client gave it back.
+        trouble: what kept messages from coming when `get` last ran out of time, as its
+            TimeoutError says it; empty from the next message on.
         request: what opened it, and opens it again.
     """
 
@@ -45,7 +47,7 @@ class RemoteStream(Generic[T]):
         opened: Mapping[str, Any],
         request: Mapping[str, Any],
         ask: Ask,
-        diagnosis: Callable[[str], Awaitable[str]],
+        diagnosis: Callable[[str], Awaitable[tuple[str, ...]]],
         length: int,
     ) -> None:
         self.request = request
@@ -54,6 +56,7 @@ class RemoteStream(Generic[T]):
         self.gaps = 0
         self.state = "open"
         self.cause = ""
+        self.trouble: tuple[str, ...] = ()
         self._is_away = False
         self._refusal = ""
         self._describe(opened)
@@ -117,14 +120,17 @@ class RemoteStream(Generic[T]):
                 text = f"connection {self.connection} is {self.state}: {self.cause}"
                 raise ConnectionClosedError(text)
             if deadline is not None and loop.time() >= deadline:
-                diagnosis = "" if not timeout else await self._diagnose(self.connection)
+                trouble = () if not timeout else await self._diagnose(self.connection)
                 if self._refusal:
-                    diagnosis += f"; the server could not send the last message: {self._refusal}"
+                    text = f"the server could not send the last message: {self._refusal}"
+                    trouble = (*trouble, text)
                 if self._waiting or self.ended:  # meanwhile
                     continue
-                raise TimeoutError(f"no message within {timeout:g} s{diagnosis}")
+                self.trouble = trouble
+                raise TimeoutError("; ".join((f"no message within {timeout:g} s", *trouble)))
             self._changed.clear()
             await event_by(self._changed, deadline)
+        self.trouble = ()
         message = self._waiting.popleft()
         return cast("T", message) if self._type is None else self._type.read(message)
 

@@ -87,8 +87,8 @@ from uoarm.model._status import (
     RouteStatus,
     StatusEvent,
     StatusMap,
+    find_trouble,
     format_status,
-    format_trouble,
 )
 from uoarm.model._wire import (
     Budget,
@@ -177,11 +177,11 @@ __all__ = [
     "StopReport",
     "ValidationMode",
     "count_names",
+    "find_trouble",
     "finite",
     "format_reason",
     "format_rejections",
     "format_status",
-    "format_trouble",
     "from_json",
     "is_loopback",
     "message_octets",

@@ -24,8 +24,8 @@ __all__ = [
     "RouteStatus",
     "StatusEvent",
     "StatusMap",
+    "find_trouble",
     "format_status",
-    "format_trouble",
 ]
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
@@ -75,8 +75,8 @@ def format_status(status: Mapping[str, Any], width: int | None = None) -> str:
     return "\n".join(lines)
 
 
-def format_trouble(status: Mapping[str, Any], connection: str) -> str:
-    """Say what keeps messages of a connection from coming, for the end of a sentence.
+def find_trouble(status: Mapping[str, Any], connection: str) -> tuple[str, ...]:
+    """Say what keeps messages of a connection from coming.
 
     Args:
         status: the map, as data or as JSON has it.
@@ -88,7 +88,7 @@ def format_trouble(status: Mapping[str, Any], connection: str) -> str:
     """
     own = next((row for row in status.get("connections", ()) if row["id"] == connection), None)
     if own is None:
-        return ""
+        return ()
     names = set(own["components"])
     causes = [f"the connection is {_word(own['state'])}: {own['cause']}"] if own["cause"] else []
     causes += [
@@ -103,7 +103,7 @@ def format_trouble(status: Mapping[str, Any], connection: str) -> str:
         if is_own and refusal and not any(refusal in text for text in causes):
             ends = f"{route['producer']} -> {consumer}"
             causes.append(f"the last message of {ends} was refused: {refusal}")
-    return "".join(f"; {text}" for text in causes)
+    return tuple(causes)
 
 
 def _word(value: Any) -> str:
