@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -20,6 +21,7 @@ from uoarm.record import _bridge
 from uoarm.record._bridge import RecordingBridge
 from uoarm.record._checking import open_recording
 from uoarm.record._reading import McapReader
+from uoarm.record._records import MAGIC
 from uoarm.record.plugin import PlaybackOptions
 from uoarm.testing import Collector, MemoryBridge, patience, wait
 
@@ -407,3 +409,39 @@ def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(BridgeError, match="`rosbag reindex` makes the index"):
         open_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "lacks", "advice"),
+    [
+        ("MCAP", "", "; give {bag}/bag.mcap as the file"),
+        ("SQLITE3", "metadata.yaml", "; `ros2 bag reindex {bag}` mends"),
+    ],
+)
+def test_a_bag_of_ros_2_whose_recorder_was_killed_says_what_helps(
+    tmp_path: Path, name: str, lacks: str, advice: str
+) -> None:
+    rosbags = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    bag = tmp_path / "bag"
+    with rosbags.Writer(bag, version=9, storage_plugin=rosbags.StoragePlugin[name]) as writer:
+        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+        text = store.types["std_msgs/msg/String"](data="text")
+        writer.write(connection, 1000, store.serialize_cdr(text, "std_msgs/msg/String"))
+    open_recording(bag)
+    if lacks:
+        (bag / lacks).unlink()
+    else:
+        file = bag / "bag.mcap"
+        file.write_bytes(file.read_bytes()[:-100])
+        assert played(file, "/text", 1) == [{"data": "text"}]
+    with pytest.raises(BridgeError, match=re.escape(advice.format(bag=bag))):
+        open_recording(bag)
+
+
+def test_a_channel_that_a_cut_file_lost_names_the_cut(tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(MAGIC + b"\x06\xff")
+    with pytest.raises(BridgeError, match=r"it has none; it ends within a record"):
+        played(path, "/text", 1)

@@ -149,7 +149,7 @@ class RecordingBridge(Bridge):
         if channel is None:
             topics = ", ".join(sorted(self._file.channels)[:20]) or "none"
             text = f"{self._path.name} has no channel {endpoint.address[0]!r}; it has {topics}"
-            raise BridgeError(text, FailureReason.NOT_FOUND)
+            raise BridgeError("; ".join((text, *self._file.notes)), FailureReason.NOT_FOUND)
         return reading_of(channel)
 
     def _marked(self, structure: MessageStructure | None) -> MessageStructure | None:

@@ -112,12 +112,23 @@ class BagReader:
         except Exception as error:
             text = (
                 f"{self.path} cannot be read: expected an MCAP file, a .bag of ROS 1 or a folder "
-                f"of rosbag2 ({text_of(error)})"
+                f"of rosbag2 ({text_of(error)}){self._advice()}"
             )
-            if self.path.suffix == ".bag" and self.path.is_file():
-                text += "; `rosbag reindex` makes the index of a bag that was cut short"
             raise BridgeError(text, FailureReason.UNSUPPORTED) from error
         return reader
+
+    def _advice(self) -> str:
+        """Return what helps where the recorder was killed, beginning with a semicolon."""
+        if self.path.suffix == ".bag" and self.path.is_file():
+            return "; `rosbag reindex` makes the index of a bag that was cut short"
+        if not self.path.is_dir():
+            return ""
+        readable = sorted(self.path.glob("*.mcap"))
+        if readable:
+            return f"; give {readable[0]} as the file: what of it is readable is played"
+        if not (self.path / "metadata.yaml").exists() and any(self.path.glob("*.db3")):
+            return f"; `ros2 bag reindex {self.path}` mends a bag that was cut short"
+        return ""
 
 
 def _channel(connection: Any, *, is_two: bool) -> FileChannel:
