@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 import threading
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
@@ -168,6 +169,41 @@ def test_an_inner_step_that_hangs_is_the_one_that_is_named() -> None:
 
     with pytest.raises(BridgeTimeoutError, match="the stuck step"):
         deadlines.run("the whole", 2 * patience(), outer)
+    gate.set()
+
+
+def test_who_waits_for_the_outer_step_goes_on_when_an_isolated_one_is_given_up() -> None:
+    gate = threading.Event()
+
+    def outer() -> str:
+        with pytest.raises(BridgeTimeoutError, match="the stuck step"):
+            deadlines.run("the stuck step", 0.05, gate.wait, isolated=True)
+        return "done"
+
+    assert deadlines.run("the whole", patience(), outer) == "done"
+    gate.set()
+
+
+def test_an_isolated_step_that_hangs_is_named_when_the_outer_one_is_given_up() -> None:
+    gate, begun = threading.Event(), threading.Event()
+
+    def hang() -> None:
+        begun.set()
+        gate.wait()
+
+    def isolated() -> None:
+        deadlines.run("the stuck step", patience(), hang)
+
+    def outer() -> None:
+        deadlines.run("the isolated step", math.inf, isolated, isolated=True)
+
+    whole = deadlines._Job("the whole", 5, outer, None, None, 0.0)
+    whole.deadline = math.inf
+    threading.Thread(target=whole.work).start()
+    assert begun.wait(patience())
+    whole.deadline = 0.0
+    with pytest.raises(BridgeTimeoutError, match="the stuck step did not finish within 5 s"):
+        whole.wait()
     gate.set()
 
 

@@ -100,7 +100,7 @@ def test_an_unknown_code_is_refused_with_those_there_are() -> None:
 def test_the_command_prints_one_entry_or_all() -> None:
     one_entry = CliRunner().invoke(main, ["explain", "UOA-408"]).output
     assert "its limit" in one_entry
-    assert "timeouts" in one_entry
+    assert "`timeout`" in one_entry
     listed = CliRunner().invoke(main, ["explain"]).output.splitlines()
     assert [line.split()[0] for line in listed] == list(ERROR_CODES)
     written = json.loads(CliRunner().invoke(main, ["explain", "408", "--json"]).output)

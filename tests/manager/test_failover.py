@@ -120,6 +120,19 @@ def test_the_next_candidate_goes_on_behind_the_same_handle(make: Make) -> None:
     assert report.cause == f"{gap.cause}; next goes on"
 
 
+def test_a_candidate_that_hangs_while_it_opens_leaves_time_for_another(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(driver, "_FIRST_SHARE", 0.0)  # the last candidate has what is left
+    stage = make()
+    with hanging(stage.one, "_open_source"):
+        connection = stage.robot.request("camera")
+        assert connection.plan.provider.component.name != "best"
+        connection.kill()
+    # What opened too late is closed.
+    wait(lambda: (stage.one.open_channels, stage.two.open_channels) == (0, 0))
+
+
 def test_what_died_is_closed_and_what_goes_on_is_in_the_status(make: Make) -> None:
     stage = make()
     connection = stage.robot.request("camera")
@@ -348,11 +361,11 @@ def test_a_takeover_that_comes_too_late_takes_over_nothing(
         limits.seconds = 0.2 if "next" in action.placement.plan.names else patience()
         return opens(made, action, state)
 
-    def run_limited(step: str, _: float, action: Callable[[], object]) -> object:
-        return run(step, getattr(limits, "seconds", patience()), action)
+    def run_limited(step: str, _: float, action: Callable[[], object], **how: Any) -> object:
+        return run(step, getattr(limits, "seconds", patience()), action, **how)
 
     monkeypatch.setattr(driver.Driver, "_open", open_batch)
-    monkeypatch.setattr(driver, "deadlines", SimpleNamespace(run=run_limited))
+    monkeypatch.setattr(driver, "deadlines", SimpleNamespace(run=run_limited, left=deadlines.left))
     stage = make()
     one, two = stage.robot.request("camera"), stage.robot.request("face")
     opened = stage.two._open_source

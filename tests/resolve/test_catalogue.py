@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+
 from uoarm._resolve import StructureCache, Structures
+from uoarm._resolve._catalogue import Unavailable
+from uoarm._support import deadlines
 from uoarm.bridge import Bridge, Description
 from uoarm.config import loads
 from uoarm.model import Endpoint, MessageStructure
+from uoarm.testing import patience, wait
 
 ROBOT = loads("""
 version: 1
@@ -39,3 +44,29 @@ def test_what_a_reader_should_know_of_an_endpoint_is_in_the_plan() -> None:
         "camera.input.light: the declared structure replaces the bridge's",
         "camera.output.default: picture is slow",
     )
+
+
+class Hanging(Noting):
+    """Says nothing until it is let."""
+
+    def __init__(self) -> None:
+        self.gate = threading.Event()
+
+    def describe(self, endpoint: Endpoint, *, timeout: float) -> Description:
+        limit = patience() if self.gate.is_set() else 0.01
+        deadlines.run(f"describing {endpoint.address[0]}", limit, self.gate.wait)
+        return super().describe(endpoint, timeout=timeout)
+
+
+def test_one_that_does_not_answer_ends_no_step_around_it_and_is_not_asked_again_meanwhile() -> None:
+    component, hangs = ROBOT.functions["camera"].components[0], Hanging()
+    cache = StructureCache(lambda _: hangs)  # type: ignore[arg-type, return-value]  # as above
+
+    def ask() -> str:
+        found = cache.structures(component)
+        return found.sentence if isinstance(found, Unavailable) else "found"
+
+    assert "describing light did not finish" in deadlines.run("a request", patience(), ask)
+    assert "has not answered what was asked before" in ask()
+    hangs.gate.set()
+    wait(lambda: ask() == "found")

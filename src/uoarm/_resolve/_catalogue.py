@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Container, Mapping
+from functools import partial
 from typing import Protocol, TypeAlias
 
 from attrs import define, field, frozen
 
+from uoarm._support import deadlines
 from uoarm.bridge import Bridge, Description
 from uoarm.errors import UoarmError
 from uoarm.model import Component, Endpoint, Meaning, MessageStructure, Reason
@@ -98,12 +101,13 @@ class _Entry:
 
     asking: threading.Lock = field(factory=threading.Lock)
     found: Structures | None = None
+    is_hanging: bool = False
 
 
 class StructureCache:
     """Asks bridges for structures and remembers what they said. Thread safe.
 
-    What a bridge could not say is asked again the next time.
+    What a bridge could not say is asked again the next time, unless it hangs still.
 
     Args:
         bridge: gives the bridge instance of a name; may raise what starting one raises.
@@ -130,11 +134,27 @@ class StructureCache:
             return entry.found
         with entry.asking:
             if entry.found is None:
+                if entry.is_hanging:
+                    text = f"bridge {component.bridge!r} has not answered what was asked before"
+                    return Unavailable(text)
+                # Its bridge starts and answers within limits of its own. One that does not is no
+                # reason to give up a request for which another component may do.
+                ask = partial(self._ask_once, component, entry)
                 try:
-                    entry.found = self._ask(component)
+                    entry.found = deadlines.run(
+                        f"asking for {component.name}", math.inf, ask, isolated=True
+                    )
                 except (_UnknownError, UoarmError) as error:
                     return Unavailable(str(error))
             return entry.found
+
+    def _ask_once(self, component: Component, entry: _Entry) -> Structures:
+        # Not by who waits, which may give it up in the very moment in which it is over.
+        entry.is_hanging = True
+        try:
+            return self._ask(component)
+        finally:
+            entry.is_hanging = False
 
     def forget(self, component: str) -> None:
         """Ask again the next time.

@@ -2,7 +2,8 @@
 
 `run` hands a step to a daemon thread and waits for it no longer than its limit. A step that
 itself calls `run` stays in its thread: the waiter then watches the inner step's limit and names
-the inner step when it gives up, so that a whole transaction of many steps costs one hop.
+the inner step when it gives up, so that a whole transaction of many steps costs one hop. A step
+that the transaction can do without is isolated: it has a thread and a limit of its own.
 A step that keeps its limit by itself costs no hop.
 A late result is handed to `on_late`, which puts it away. Steps that clean up after a step that
 was given up get limits of their own. What hangs for ever keeps its thread, so a step of which too
@@ -94,6 +95,7 @@ class _Job(Generic[T]):
         self.limit = limit
         self.deadline = time.monotonic() + limit
         self.given_up = False
+        self.isolated: _Job[Any] | None = None
         self.on_give_up = on_give_up
         self.grace = grace
         self._hangs_in = ""
@@ -162,7 +164,10 @@ class _Job(Generic[T]):
                 raise self._late()
 
     def _late(self) -> BridgeTimeoutError:
-        text = f"{self.step} did not finish within {self.limit:g} s and was given up"
+        innermost: _Job[Any] = self
+        while (inner := innermost.isolated) is not None:  # read once: it may be over now
+            innermost = inner
+        text = f"{innermost.step} did not finish within {self.limit:g} s and was given up"
         return BridgeTimeoutError(text)
 
     def _give_up(self) -> bool:
@@ -203,6 +208,7 @@ def run(
     on_late: Callable[[T], None] | None = None,
     on_give_up: Callable[[], object] | None = None,
     keeps_time: bool = False,
+    isolated: bool = False,
     grace: float = 0.0,
 ) -> T:
     """Run an action under a time limit and return what it returns.
@@ -216,6 +222,8 @@ def run(
             on alone may be asked to end.
         keeps_time: the action ends within the limit by itself, with an error of its own: it runs
             in the caller's thread, and it is never given up.
+        isolated: the step around this one, if any, is not given up with it: who waits for it goes on
+            waiting.
         grace: seconds more that the action is given to end with an error of its own, which says
             what it waited for.
 
@@ -227,12 +235,18 @@ def run(
     if _hanging.steps:
         _hanging.check(step)
     outer = _current.job
-    if outer is None or outer.given_up:
+    if outer is None or outer.given_up or isolated:
         if keeps_time:
             return action()
         job = _Job(step, limit, action, on_late, on_give_up, grace)
         _workers.submit(job.work)
-        return job.wait()
+        if outer is None:
+            return job.wait()
+        outer.isolated = job
+        try:
+            return job.wait()
+        finally:
+            outer.isolated = None
     return _run_inside(outer, step, limit, action, on_late, on_give_up, grace)
 
 

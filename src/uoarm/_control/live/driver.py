@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -25,7 +26,7 @@ from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.events import write_event
 from uoarm._control.engine.placement import Part
-from uoarm._control.engine.state import State
+from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.engine.step import step
 from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDelivery, record_takeover
 from uoarm._control.live.listeners import EventDispatcher
@@ -54,6 +55,7 @@ _LISTED_CHANGES = 20
 _LANES = 8
 _PATIENCE_SECONDS = 0.05
 _OPEN_SECONDS = 60.0
+_FIRST_SHARE = 0.5
 _AGAIN_SECONDS = 0.5
 _log = logging.getLogger("uoarm")
 _log_of_events = logging.getLogger("uoarm.control")
@@ -515,20 +517,39 @@ class Driver:
     # Calls into bridges, made in lanes.
 
     def _open(self, action: act.Open, state: State) -> ev.Event:
-        """Open a batch; the time limit of a first plan is that of its request."""
+        """Open a batch; a first plan has the time limit of its request."""
         done: list[Part] = []
         open_parts = partial(self.live.open, action, state, done, self._cancelled)
+        record, left = state.connections.get(action.connection), deadlines.left(math.inf)
         try:
             with self._span("open", action.connection, plan=action.placement.plan):
-                if action.placement.user == action.connection:
-                    open_parts()
-                else:
+                if record is None or not record.waiter:  # no request waits for it
                     step_name = f"takeover of connection {action.connection}"
                     deadlines.run(step_name, _OPEN_SECONDS, open_parts)
+                # What opens at once is opened by the application's own thread, without a limit.
+                elif left < math.inf and self._has_others(action.placement.plan, record):
+                    step_name = f"opening a plan of connection {action.connection}"
+                    limit = round(_FIRST_SHARE * left, 2)  # the rest is for another plan
+                    deadlines.run(step_name, limit, open_parts, isolated=True)
+                else:
+                    open_parts()
         except BaseException as error:  # noqa: BLE001 - the state learns of it whatever it is
             self._cancelled.add(action.batch)  # a thread that hangs in it opens nothing more
             return ev.Opened(action.batch, tuple(done), error)
         return ev.Opened(action.batch, tuple(done))
+
+    def _has_others(self, plan: Plan, record: ConnectionRecord) -> bool:
+        """Whether another component may take the place of one of a first plan."""
+        if not self.state.policy.enabled or record.move is None:
+            return False
+        left_out = {*plan.names, *record.move.excluded}
+        names = {step.component.function for step in plan.steps}
+        functions = self._revisions.current.robot.functions
+        return any(
+            component.name not in left_out
+            for function in filter(None, map(functions.get, names))
+            for component in function.components
+        )
 
     def _span(
         self, name: str, connection: str, *, plan: Plan | None = None, **attributes: str
