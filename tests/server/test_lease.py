@@ -6,7 +6,9 @@ import asyncio
 import json
 import logging
 import subprocess
+import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -18,8 +20,8 @@ from uoarm.bridge import Registry
 from uoarm.client import connect
 from uoarm.config import loads
 from uoarm.errors import CommandRefusedError
-from uoarm.model import LeaseHolder, LeaseStatus
-from uoarm.server import Server, hash_token, make_token
+from uoarm.model import LeaseHolder, LeaseStatus, StatusEvent
+from uoarm.server import Server, ServerOptions, hash_token, make_token, serve_in_thread
 from uoarm.testing import MemoryBridge, patience, wait
 from uoarm.testing._components import Taker
 
@@ -118,6 +120,36 @@ def test_one_client_commands_and_the_other_learns_which(
 
     wait(lambda: audited()[-1:] == [f"base.default: {fenced} gave its lease back"])
     assert audited()[0] == f"base.default: {holder} holds its lease"
+
+
+def test_what_happened_before_a_server_stops_is_audited_and_reported(
+    robot: RobotManager, tmp_path: Path
+) -> None:
+    """Also while a listener of the program holds up all that listen after it."""
+    go_on, log, access = threading.Event(), tmp_path / "audit.log", tmp_path / "access.yaml"
+    access.write_text(ACCESS.format(**{name: hash_token(token) for name, token in TOKENS.items()}))
+
+    def hold_up(event: StatusEvent) -> None:
+        del event
+        go_on.wait(patience())
+
+    robot.listen(hold_up)
+    options = ServerOptions(port=0, access=access, audit=log)
+    with ExitStack() as stack:
+        stack.callback(go_on.set)
+        with serve_in_thread(robot, options) as server:
+            driver = stack.enter_context(enter(server, "driver"))
+            driver.ask("Status", "watch")
+            holder = LeaseHolder(f"session {driver.hello['session']}", "driver")
+            driver.ask("Data", driver.open("drive"), 1)
+        changes: list[str] = []
+        while "leased" not in changes:
+            changes.append(driver.next("change")["jsonMessage"]["change"])
+        leases = [json.loads(line).get("lease") for line in log.read_text().splitlines()]
+    assert [lease for lease in leases if lease] == [
+        f"base.default: {holder} holds its lease",
+        f"base.default: {holder} gave its lease back",
+    ]
 
 
 def test_a_client_stops_what_it_moves_and_what_it_may_not_stop_is_reported(

@@ -184,6 +184,10 @@ class RobotView(ConfiguredRobot):
         """
         return self._events.listen(listener)
 
+    def _observe(self, observer: Callable[[StatusEvent], None]) -> Callable[[], None]:
+        """Call an observer as each change is posted; see `EventDispatcher.observe`."""
+        return self._events.observe(observer)
+
     def _with_rates(self, findings: tuple[BridgeFindings, ...]) -> tuple[BridgeFindings, ...]:
         own = [route for connection in self.connections() for route in connection.routes()]
         rates = {

@@ -117,7 +117,7 @@ class Server:
         self._shared: Shared | None = None
         self._watches: list[asyncio.Task[None]] = []
         self._crowd = 0
-        self._stop_listening: Callable[[], None] = lambda: None
+        self._stop_observing: Callable[[], None] = lambda: None
 
     @property
     def ports(self) -> tuple[int, ...]:
@@ -170,7 +170,7 @@ class Server:
         self._stateless_clients = StatelessClients(
             self._admission, self._audit, registry, self._connected, self._totals.refuse
         )
-        self._stop_listening = self._robot.listen(self._audit_lease)
+        self._stop_observing = self._robot._observe(self._audit_lease)  # noqa: SLF001 - of the house
         metrics = Metrics(registry, self._totals, lambda: self._clients, self._store)
         try:
             self._start_front_ends(registry)
@@ -211,6 +211,8 @@ class Server:
         if self._registry is not None:
             self._registry.views.close()  # long answers would keep outboxes from being emptied
         limit = self._limits.stop_seconds / 4
+        if self._registry is not None:
+            await _all_within(limit, [self._registry.mailbox.caught_up()])
         await _all_within(limit, [client.outbox.emptied() for client in self._clients])
         await _all_within(
             limit,
@@ -219,18 +221,19 @@ class Server:
         for socket in self._sockets:
             socket.transport.abort()
         await _all_within(limit, [listening.wait_closed() for listening in self._listening])
-        self._stop_listening()
         self._store.close()
         self._decoder.close()
         if self._registry is not None:
             await self._registry.close()
+            self._stop_observing()
+            await _all_within(limit, [self._registry.mailbox.caught_up()])
         if self._audit_file is not None:
             self._audit_file.close()
 
     def _audit_lease(self, event: StatusEvent) -> None:
-        """Record who commands what; in the thread of the robot's listeners."""
+        """Have the loop record who commands what: the thread that posts waits for no disk."""
         if event.change == "leased":
-            self._audit.leased(event.cause)
+            self.backend.mailbox.put(functools.partial(self._audit.leased, event.cause))
 
     def _start_front_ends(self, registry: FeedRegistry) -> None:
         for front_end in self._front_ends.usable:

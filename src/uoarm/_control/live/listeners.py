@@ -25,7 +25,7 @@ class EventDispatcher:
 
     Observers are called at once: they miss nothing that happened before they end.
 
-    The thread begins with the first listener, and is woken only while there are some. Deaths and
+    The thread begins with the first of either, and is woken while there are listeners. Deaths and
     takeovers have a record in the log each, written by the same thread: at most twenty in ten
     seconds for a component or a bridge, and for all connections together.
     """
@@ -64,6 +64,7 @@ class EventDispatcher:
         """
         with self._lock:
             self._observers = (*self._observers, observer)
+            self._start()  # what is lost later is recorded without waiting for a thread to begin
 
         def end() -> None:
             with self._lock:

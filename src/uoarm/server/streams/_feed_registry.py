@@ -151,7 +151,7 @@ class FeedRegistry:
         self._releasing: asyncio.Future[None] | None = None
         self._watchers: dict[Watcher, None] = {}
         self._past: deque[tuple[float, StatusEvent]] = deque(maxlen=_REMEMBERED)
-        self._stop_listening = robot.listen(
+        self._stop_observing = robot._observe(  # noqa: SLF001 - of the house
             lambda event: self.mailbox.put(functools.partial(self._take_event, event))
         )
 
@@ -459,7 +459,7 @@ class FeedRegistry:
     async def close(self) -> None:
         """Kill what is open, as far as it can be done while the server closes."""
         # First: no more events for what is closed below.
-        self._stop_listening()
+        self._stop_observing()
         self._known.close()
         self._types.close()
         self.views.close()

@@ -120,6 +120,12 @@ class LoopMailbox:
                 self._actions.clear()
                 self._woken = False
 
+    async def caught_up(self) -> None:
+        """Wait until what has been put so far has run. In the loop."""
+        ran: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.put(lambda: settle(ran, None, None))
+        await ran
+
     def soon(self, action: Callable[[], None]) -> None:
         """Run an action after those that run now, or in the loop's next turn where none do.
 
