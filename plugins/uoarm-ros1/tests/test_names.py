@@ -7,6 +7,7 @@ from typing import Any, cast
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
 from peers import Master, Peer, running
+from uoarm_ros1._node import Rosout
 from uoarm_ros1._options import NodeIdentity, Ros1BridgeOptions
 
 from uoarm import RobotManager
@@ -196,6 +197,27 @@ def test_a_parameter_that_is_set_as_a_new_master_is_found_without_it_was_set_onc
             assert collector.wait(3, patience()) == [1, 2, 3]
 
 
+def test_what_is_taken_back_while_it_is_registered_does_not_stay(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The look at the master registers /rosout as a brief application ends."""
+    with running(tmp_path / "master") as world, bridge_to(world, rosout=False) as bridge:
+        node: Any = cast("Any", bridge)._node
+        register = node.master.register_publisher
+
+        def late(*arguments: Any) -> None:
+            bridge.close()
+            register(*arguments)
+
+        monkeypatch.setattr(node.master, "register_publisher", late)
+        rosout = Rosout(node, cast("Any", bridge)._types)
+        rosout.open()
+        assert registered(node) == []
+        with pytest.raises(BridgeError, match="is closed"):
+            Rosout(node, cast("Any", bridge)._types).open()
+        assert registered(node) == []
+
+
 @pytest.mark.parametrize("kind", ["topic", "subscription", "service"])
 def test_what_is_closed_while_it_is_registered_again_does_not_stay(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch, kind: str
@@ -212,13 +234,7 @@ def test_what_is_closed_while_it_is_registered_again_does_not_stay(
         node: Any = cast("Any", bridge)._node
         closed_during(monkeypatch, node.master, f"register_{method}", opened)
         node.register_again()
-        registered = [
-            name
-            for table in node.master.call("getSystemState")
-            for name, nodes in table
-            if node.name in nodes
-        ]
-        assert "/t" not in registered
+        assert "/t" not in registered(node)
 
 
 def test_a_parameter_that_is_closed_while_it_is_watched_again_is_watched_no_more(
@@ -247,6 +263,12 @@ def test_a_parameter_that_is_closed_while_it_is_watched_again_is_watched_no_more
             peer.do("set_param", name=name, value=2)
         assert collector.wait(2, patience()) == [1, 2]
         assert keys == ["/fence"]
+
+
+def registered(node: Any) -> list[str]:
+    """Return what the master says that a node publishes, subscribes to or serves."""
+    tables = node.master.call("getSystemState")
+    return [name for table in tables for name, nodes in table if node.name in nodes]
 
 
 def closed_during(monkeypatch: pytest.MonkeyPatch, master: Any, method: str, opened: Any) -> None:

@@ -332,7 +332,7 @@ def test_another_definition_of_a_type_is_refused_with_both_sums(
     lasting.do("subscribe", topic="/other", type="std_msgs/String")
     with bridge_to(master) as bridge:
         reports = Reports(bridge)
-        at = input_("/other", "std_msgs/String", definition="int32 data", wait=0.5)
+        at = input_("/other", "std_msgs/String", definition="int32 data", wait=slowness())
         with pytest.raises(BridgeError, match="build both of one definition"):
             bridge.open_sink(at, ANY)
         refused = reports.wait(Health.DEGRADED, "/lasting wants topic /other")

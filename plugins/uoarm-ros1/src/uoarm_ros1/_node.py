@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import partial
 from itertools import count
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from attrs import evolve
 
@@ -30,6 +30,7 @@ __all__ = ["Clock", "Node", "Rosout"]
 
 _ASK_SECONDS = 0.5
 _LOOPBACK = {"localhost", "127.0.0.1", "::1"}
+T = TypeVar("T")
 Arrived = Callable[[socket.socket, dict[str, str]], None]
 
 
@@ -68,6 +69,12 @@ class Node:
         self._subscriptions: dict[str, tuple[TopicSubscription, ...]] = {}
         self._services: dict[str, Arrived] = {}
         self._parameters: dict[str, tuple[ParameterListener, ...]] = {}
+        self._tables: Mapping[str, Mapping[str, object]] = {
+            "publisher": self._publications,
+            "subscriber": self._subscriptions,
+            "service": self._services,
+            "parameter": self._parameters,
+        }
         self._is_closing = self._is_alone = False
         self._numbers = count(2)
         host = identity.host or _own_address(identity.master_host, identity.master_port)
@@ -110,6 +117,7 @@ class Node:
             BridgeError: it is published as another type, or the master cannot be reached.
         """
         with self._lock:
+            self._require_open()
             known = self._publications.get(topic)
             if known is None:
                 made = TopicPublication(self.loop, self.name, topic, record, **more)
@@ -124,7 +132,8 @@ class Node:
                 self._publications[topic] = (made, users + 1)
                 return made
         try:
-            self.master.register_publisher(topic, record.name)
+            call = partial(self.master.register_publisher, topic, record.name)
+            self._register("publisher", topic, call)
         except BaseException:
             self.withdraw(made)
             raise
@@ -165,13 +174,15 @@ class Node:
         """
         topic, kind = subscription.wanted.topic, subscription.wanted.kind
         with self._lock:
+            self._require_open()
             before = self._subscriptions.get(topic, ())
             if any(other.wanted.caller == self.name for other in before):
                 subscription.wanted = evolve(subscription.wanted, caller=self.another_name())
             self._subscriptions[topic] = (*before, subscription)
             self._api.subscriptions[topic] = kind or "*"
         try:
-            subscription.update(self.master.register_subscriber(topic, kind))
+            call = partial(self.master.register_subscriber, topic, kind)
+            subscription.update(self._register("subscriber", topic, call))
         except BaseException:
             self.unsubscribe(subscription)
             raise
@@ -218,12 +229,14 @@ class Node:
             BridgeError: it is served here already, or the master cannot be reached.
         """
         with self._lock:
+            self._require_open()
             if service in self._services:
                 text = f"service {service} is served here already"
                 raise BridgeError(text, FailureReason.REFUSED)
             self._services[service] = arrived
         try:
-            self.master.register_service(service, self.service_uri)
+            call = partial(self.master.register_service, service, self.service_uri)
+            self._register("service", service, call)
         except BaseException:
             self.unserve(service)
             raise
@@ -242,9 +255,10 @@ class Node:
             BridgeError: the master cannot be reached.
         """
         with self._lock:
+            self._require_open()
             self._parameters[key] = (*self._parameters.get(key, ()), changed)
         try:
-            return self.master.watch_parameter(key)
+            return self._register("parameter", key, partial(self.master.watch_parameter, key))
         except BaseException:
             self.unwatch_parameter(key, changed)
             raise
@@ -309,35 +323,28 @@ class Node:
             publications = [made for made, _ in self._publications.values()]
             subscriptions = {topic: made for topic, made in self._subscriptions.items() if made}
             services, parameters = tuple(self._services), dict(self._parameters)
-        # What a step takes back meanwhile may reach the master before it is registered here: it is
-        # taken back once more, or the master knew for good what is there no longer.
         for publication in publications:
             topic = publication.topic
-            self.master.register_publisher(topic, publication.record.name)
-            if topic not in self._publications:
-                self._unregister("publisher", topic)
+            call = partial(self.master.register_publisher, topic, publication.record.name)
+            self._register("publisher", topic, call)
         for service in services:
-            self.master.register_service(service, self.service_uri)
-            if service not in self._services:
-                self._unregister("service", service)
+            call = partial(self.master.register_service, service, self.service_uri)
+            self._register("service", service, call)
         for topic, made in subscriptions.items():
-            uris = self.master.register_subscriber(topic, made[0].wanted.kind)
-            if topic not in self._subscriptions:
-                self._unregister("subscriber", topic)
+            ask = partial(self.master.register_subscriber, topic, made[0].wanted.kind)
+            uris = self._register("subscriber", topic, ask)
             for subscription in made:
                 # What is connected stays so, whether its publisher has come back to the master.
                 subscription.update((*uris, *subscription.listed))
         for key, listeners in parameters.items():
-            value = self.master.watch_parameter(key)
-            if key not in self._parameters:
-                self._unregister("parameter", key)
+            value = self._register("parameter", key, partial(self.master.watch_parameter, key))
             for changed in listeners:
                 changed(key, value, is_set=False)
 
     def close(self) -> None:
         """Take every registration back, and close every socket."""
-        self._is_closing = True
         with self._lock:
+            self._is_closing = True
             publications = [made for made, _ in self._publications.values()]
             subscriptions = [made for all_of in self._subscriptions.values() for made in all_of]
             services, parameters = tuple(self._services), dict(self._parameters)
@@ -353,6 +360,18 @@ class Node:
             for changed in listeners:
                 self.unwatch_parameter(key, changed)
         self.loop.close()
+
+    def _require_open(self) -> None:
+        if self._is_closing:  # nothing would take a registration back
+            raise BridgeError(f"node {self.name} is closed", FailureReason.UNAVAILABLE)
+
+    def _register(self, kind: str, name: str, call: Callable[[], T]) -> T:
+        # What is taken back meanwhile may reach the master before it is registered here: it is
+        # taken back once more, or the master knew for good what is there no longer.
+        found = call()
+        if name not in self._tables[kind]:
+            self._unregister(kind, name)
+        return found
 
     def _unregister(self, kind: str, name: str) -> None:
         if self._is_alone:
