@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +36,14 @@ class Driver:
         elif words == "where":
             self.where()
         elif words:
-            x, y = map(float, words.split())
-            self.drive(x, y)
+            try:
+                x, y = map(float, words.split())
+            except ValueError:
+                x = y = math.nan
+            if math.isfinite(x) and math.isfinite(y):
+                self.drive(x, y)
+            else:
+                print("expected two numbers such as `3 4`, `cancel` or `where`", flush=True)
 
     def drive(self, x: float, y: float) -> None:
         """Send a goal; what becomes of it is printed."""
@@ -79,17 +88,21 @@ class Driver:
 
 
 def main() -> None:
-    """Read goals until the input ends."""
-    with RobotManager.from_file(HERE / "robot.yaml") as robot:
+    """Read goals until the input ends, or until interrupted."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with suppress(KeyboardInterrupt), RobotManager.from_file(HERE / "robot.yaml") as robot:
         robot.offer()
         driver = Driver(robot)
         print("where to?", flush=True)
         for line in sys.stdin:
             try:
                 driver.take(line.strip())
-            except UoarmError as error:
+            except (UoarmError, TimeoutError) as error:
                 print(error, flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except UoarmError as failure:
+        sys.exit(str(failure))

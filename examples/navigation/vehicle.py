@@ -9,6 +9,8 @@ import threading
 
 from uoarm_vda5050.vehicle import Drive, Vehicle
 
+from uoarm.errors import UoarmError
+
 _METRES_PER_SECOND = 5.0
 _STEP_SECONDS = 0.05
 
@@ -34,4 +36,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except UoarmError as failure:
+        sys.exit(str(failure))

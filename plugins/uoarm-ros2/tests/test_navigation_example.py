@@ -104,6 +104,9 @@ def test_another_planner_takes_over_and_a_goal_is_cancelled(start: Start) -> Non
     assert line(base) == "driving on /navigate_to_pose"
     driver = start("drive_to.py")
     assert line(driver) == "where to?"
+    for words in ("3", "3 four", "nan 0"):
+        ask(driver, words)
+        assert line(driver).startswith("expected two numbers")
     ask(driver, "3 4")
     there = until_the_end(driver)
     assert (there[0], there[1], there[-1]) == ("accepted", "7.0 m to go", "succeeded")
@@ -123,6 +126,8 @@ def test_another_planner_takes_over_and_a_goal_is_cancelled(start: Start) -> Non
     assert line(driver) == "10000.0 m to go"
     ask(driver, "cancel")
     assert until_the_end(driver)[-1] == "canceled"
+    driver.terminate()
+    assert driver.wait(patience()) == 0
 
 
 def test_a_vehicle_of_another_standard_takes_over_and_the_base_after_it(
