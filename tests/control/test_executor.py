@@ -13,14 +13,14 @@ from tests.control.world import FACE
 from uoarm import RobotManager
 from uoarm._control.engine.move import forget_earlier
 from uoarm._control.engine.state import listed
-from uoarm._control.live import parts
+from uoarm._control.live import listeners, parts
 from uoarm._control.live.listeners import EventDispatcher
 from uoarm._control.live.revisions import Revision
 from uoarm._support.ordered import OrderedMap, keep_newest
 from uoarm._support.workers import Job
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
-from uoarm.testing import ManualClock, MemoryBridge, wait
+from uoarm.testing import ManualClock, MemoryBridge, patience, wait
 
 NUMBER = {"type": "integer"}
 
@@ -128,6 +128,32 @@ def test_records_of_names_that_come_and_go_are_forgotten() -> None:
     dispatcher.close()
     wait(lambda: dispatcher._thread is not None and not dispatcher._thread.is_alive())
     assert len(dispatcher._records) == 1000
+
+
+def test_what_has_not_reached_listeners_at_the_end_is_counted(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listeners, "_CLOSE_SECONDS", 0.01)
+    dispatcher, held, go_on = EventDispatcher(ManualClock()), threading.Event(), threading.Event()
+    came: list[str] = []
+
+    def hold_up(event: StatusEvent) -> None:
+        came.append(event.change)
+        held.set()
+        go_on.wait(patience())
+
+    dispatcher.listen(hold_up)
+    for number in range(4):
+        dispatcher.post("test", str(number))
+    assert held.wait(patience())
+    dispatcher.close()
+    dispatcher.close()
+    assert caplog.messages == ["a listener has held up 3 changes for 0.01 s at the end"]
+    go_on.set()
+    wait(lambda: len(came) == 4)
+    wait(lambda: dispatcher._thread is not None and not dispatcher._thread.is_alive())
+    dispatcher.close()
+    assert len(caplog.messages) == 1
 
 
 def test_what_finds_no_thread_is_done_when_there_is_one(

@@ -40,6 +40,7 @@ class EventDispatcher:
         self._observers: tuple[Callable[[StatusEvent], None], ...] = ()
         self._events: SimpleQueue[StatusEvent | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
+        self._is_closed = False
         self._records: dict[str, LimitedLog] = {}
 
     def post(self, subject: str, change: str, cause: str = "", function: str = "") -> None:
@@ -85,11 +86,21 @@ class EventDispatcher:
         return end
 
     def close(self) -> None:
-        """Call listeners for what is left, then end. Waits two seconds at most."""
-        self._events.put(None)
+        """Call listeners for what is left, then end. Waits two seconds at most; idempotent.
+
+        What waits still is counted in the log: it is brought if the listener comes back in time.
+        """
+        with self._lock:
+            is_first, self._is_closed = not self._is_closed, True
+            if is_first:
+                self._events.put(None)
         thread = self._thread
         if thread is not None and threading.current_thread() is not thread:
             thread.join(_CLOSE_SECONDS)
+            count = self._events.qsize() - 1
+            if is_first and thread.is_alive() and count > 0:
+                text = "a listener has held up %d changes for %g s at the end"
+                _log.warning(text, count, _CLOSE_SECONDS)
 
     def _start(self) -> None:
         if self._thread is None:
