@@ -222,8 +222,8 @@ def run(
             on alone may be asked to end.
         keeps_time: the action ends within the limit by itself, with an error of its own: it runs
             in the caller's thread, and it is never given up.
-        isolated: the step around this one, if any, is not given up with it: who waits for it goes on
-            waiting.
+        isolated: the step around this one, if any, is not given up with it: who waits for it goes
+            on waiting.
         grace: seconds more that the action is given to end with an error of its own, which says
             what it waited for.
 
