@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -62,6 +63,22 @@ def test_a_goal_is_cancelled(broker: Broker) -> None:
         status.wait(1, patience())
         cancel.send({"goal_id": "long"})
         assert status.wait(2, patience())[1] == {"goal_id": "long", "status": "canceled"}
+        assert driver.vehicle.is_idle
+        assert driver.done == []
+
+
+def test_a_call_that_an_emergency_stop_ends_is_cancelled(broker: Broker) -> None:
+    with (
+        driven(broker, "stopped", "b") as driver,
+        bridge_to(broker) as bridge,
+        ThreadPoolExecutor() as pool,
+    ):
+        place, order = endpoint("stopped", "transport"), goal("a", "b")
+        called = pool.submit(bridge.call, place, order, timeout=patience(), number=5)
+        wait(lambda: not driver.vehicle.is_idle, "the vehicle has no order", patience())
+        assert bridge.cancel_call(5)
+        with pytest.raises(BridgeError, match="canceled"):
+            called.result(patience())
         assert driver.vehicle.is_idle
         assert driver.done == []
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
@@ -177,7 +178,9 @@ def test_a_call_that_is_given_up_says_which_states_came_and_could_not_be_read() 
         wait(follower.unread_states, str(follower.facts()))
         why = r"did not end in 0\.01 s; a state came that cannot be read: .*Expecting property name"
         with pytest.raises(BridgeTimeoutError, match=why):
-            call(endpoint("m", "transport"), follower, goal("a", "b"), 0.01)
+            call(
+                endpoint("m", "transport"), follower, goal("a", "b"), 0.01, lambda _: nullcontext()
+            )
     finally:
         follower.close()
 

@@ -124,7 +124,7 @@ class Vda5050Bridge(Bridge):
     ) -> Message:
         del structures
         follower = self._follow(self._place(endpoint), endpoint)
-        return call(endpoint, follower, message, timeout)
+        return call(endpoint, follower, message, timeout, self.cancelling)
 
     def _discover(self) -> tuple[Discovered, ...]:
         return self._directory.listing(self._presence.online())

@@ -7,6 +7,8 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any
 
 from attrs import asdict, frozen
@@ -299,7 +301,11 @@ class TransportSink(Sink):
 
 
 def call(
-    endpoint: Endpoint, follower: VehicleFollower, message: Message, timeout: float
+    endpoint: Endpoint,
+    follower: VehicleFollower,
+    message: Message,
+    timeout: float,
+    cancelling: Callable[[Callable[[], object]], AbstractContextManager[None]],
 ) -> Message:
     """Give a goal and return its result; one that is given up is cancelled.
 
@@ -322,7 +328,7 @@ def call(
     follower.join(listen)
     try:
         goal_id = follower.goal(message)
-        with changed:
+        with cancelling(partial(follower.cancel, goal_id)), changed:
             is_over = changed.wait_for(lambda: goal_id in ended, timeout)
         if not is_over:
             follower.cancel(goal_id)
