@@ -11,8 +11,10 @@ import io
 import logging
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any, TextIO, TypeVar, cast
 
 import click
@@ -27,10 +29,12 @@ __all__ = [
     "leaving_out",
     "logging_to_stderr",
     "output",
+    "saying_what_is_waited_for",
 ]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _STDOUT, _STDERR = 1, 2
+_SILENT_SECONDS = 3.0
 _own: list[TextIO] = []  # of the command that runs; of another one within it, the last
 _VARIABLE = "UOARM_LOG"
 _META = "uoarm.log"
@@ -48,6 +52,22 @@ def output() -> TextIO:
 def echo(text: object = "", *, nl: bool = True, err: bool = False) -> None:
     """Write text for who gave the command."""
     click.echo(text, file=None if err else output(), nl=nl, err=err)
+
+
+@contextmanager
+def saying_what_is_waited_for(what: str, timeout: float) -> Iterator[None]:
+    """Say at a terminal what is waited for, after three seconds, and how long at most."""
+    text = f"waiting for {what}, at most {timeout:g} s"
+    timer = threading.Timer(_SILENT_SECONDS, partial(click.echo, text, err=True))
+    timer.daemon = True
+    if sys.stderr.isatty():
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if timer.ident is not None:
+            timer.join()
 
 
 def keep_apart(command: click.Command) -> None:

@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
-from uoarm.cli._output import echo, leaving_out, output
+from uoarm.cli._output import echo, leaving_out, output, saying_what_is_waited_for
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
@@ -51,6 +51,7 @@ from uoarm.model import (
 __all__ = ["call", "offer", "request"]
 
 _GLANCE_SECONDS = 0.25
+_REQUEST_SECONDS = 60.0
 # What the one connection does then says why, or its end does.
 _DEATH = re.compile(r"component \S+ lost: |connection \S+ failed: ")
 _OFFER = re.compile("offer ")
@@ -98,7 +99,7 @@ def request(
     with (
         leaving_out(_Repeated(_DEATH)),  # until the manager is closed, which writes what is left
         open_robot(file) as robot,
-        robot.request(name, validate=validate) as connection,
+        _requested(robot, name, validate) as connection,
     ):
         if connection.plan.provider.component.service is not None:
             raise UsageError(f"function {name!r} is a service: use call, not request")
@@ -143,6 +144,12 @@ def call(name: str, message: str, file: str, *, server: Remote | None, timeout: 
         return
     with open_robot(file) as robot:
         echo(_text_of(robot.call(name, sent, timeout=timeout)))
+
+
+def _requested(robot: RobotManager, name: str, validate: str) -> Connection:
+    what = f"the components of {name!r} to start and open"
+    with saying_what_is_waited_for(what, _REQUEST_SECONDS):
+        return robot.request(name, validate=validate, timeout=_REQUEST_SECONDS)
 
 
 def _request_there(

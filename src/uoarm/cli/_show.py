@@ -7,10 +7,8 @@ import os
 import platform
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from functools import partial
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ from click.shell_completion import CompletionItem
 
 from uoarm._version import __version__
 from uoarm.bridge import Registry
-from uoarm.cli._output import echo
+from uoarm.cli._output import echo, saying_what_is_waited_for
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
@@ -47,7 +45,6 @@ from uoarm.schema.__main__ import check_files
 __all__ = ["bridges", "check", "doctor", "explain", "list_functions", "resolve", "schema"]
 
 _LARGE = 1_000_000
-_SILENT_SECONDS = 3.0
 _SECONDS = 60.0
 
 
@@ -154,22 +151,6 @@ def _candidate(name: str, bridge: str, priority: int, **_: object) -> str:
     return f"  {priority:>4}  {name}  ({bridge})"
 
 
-@contextmanager
-def _saying_that_it_waits(timeout: float) -> Iterator[None]:
-    """Say at a terminal that it is bridges that are waited for."""
-    text = f"waiting for bridges to start and report what they see, at most {timeout:g} s"
-    timer = threading.Timer(_SILENT_SECONDS, partial(click.echo, text, err=True))
-    timer.daemon = True
-    if sys.stderr.isatty():
-        timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-        if timer.ident is not None:
-            timer.join()
-
-
 @click.command()
 @function_argument()
 @takes_configuration("name")
@@ -202,7 +183,7 @@ def resolve(
         return
     with open_robot(file) as robot:
         try:
-            with _saying_that_it_waits(timeout):
+            with saying_what_is_waited_for("bridges to start and report what they see", timeout):
                 plan = robot.resolve(name, timeout=timeout)
         except NoPlanError as error:
             fail(error, REFUSED, function=error.function, rejected=error.rejections)
