@@ -6,6 +6,7 @@ import ast
 import math
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -534,6 +535,25 @@ def test_a_call_that_keeps_its_time_stays_in_the_thread_of_the_caller(component:
     bridge.close()
     with pytest.raises(BridgeError, match="is closed"):
         bridge.call(endpoint, "request")
+
+
+def test_a_bridge_that_is_closed_cancels_the_calls_under_way() -> None:
+    bridge, endpoint = Prompt(), Endpoint("b", "prompt", Role.SERVICE, ("x",))
+    is_waiting, is_cancelled = threading.Event(), threading.Event()
+
+    def wait_for_the_end() -> str:
+        with bridge.cancelling(is_cancelled.set):
+            is_waiting.set()
+            assert is_cancelled.wait(patience())
+        return "ended early"
+
+    bridge.step = wait_for_the_end
+    with ThreadPoolExecutor() as pool:
+        called = pool.submit(bridge.call, endpoint, "request")
+        assert is_waiting.wait(patience())
+        bridge.step = lambda: None
+        bridge.close()
+        assert called.result(patience()) == "ended early"
 
 
 class Quick(Puppet):

@@ -274,8 +274,8 @@ class Bridge(BridgeSteps):
         """Have `cancel` called when the call that runs in this thread is to end early.
 
         For `_call` of a bridge whose framework can cancel: for the length of a `with` block, while
-        it waits for the reply. `cancel` is called when the call has timed out or an emergency stop
-        ends it, in another thread, or here at once where that was before; maybe twice. It must
+        it waits for the reply. `cancel` is called when the call has timed out, an emergency stop
+        ends it, or the bridge is closed, in another thread, or here at once; maybe twice. It must
         return in bounded time, and may return False where the framework could not be notified. The
         call then ends as the framework says.
         """
@@ -359,6 +359,13 @@ class Bridge(BridgeSteps):
             self._is_closed = True
             channels = list(self._open)
         failures: list[BridgeError] = []
+        step = f"bridge {self.name!r}: cancelling calls"
+        if len(self._pending_calls):
+            try:
+                with translated(step):
+                    deadlines.run(step, timeout, self._pending_calls.cancel_all)
+            except BridgeError as error:
+                failures.append(error)
         for channel in channels:
             try:
                 channel.close(timeout=timeout)

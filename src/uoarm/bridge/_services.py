@@ -114,6 +114,13 @@ class CallsUnderWay:
             call.is_cancelled, way = True, call.cancel
         return way is not None and way() is not False
 
+    def cancel_all(self) -> None:
+        """Cancel every call, as `cancel` does."""
+        with self._lock:
+            calls = tuple(self._calls)
+        for call in calls:
+            self.cancel(call)
+
 
 T = TypeVar("T")
 _log = logging.getLogger("uoarm")
