@@ -219,9 +219,9 @@ def _unknown_keys(
 
 
 def near(value: object, allowed: Collection[object], speller: Speller) -> str:
-    """Return which of the allowed words a misspelt one may have been."""
+    """Return which of the allowed words a misspelt one may have been, or a number is to be."""
     if not isinstance(value, str):
-        return ""
+        return "write it in quotes" if clip(value) in allowed else ""
     return speller.guess(value, [any_of([item]) for item in allowed if item != value])
 
 
@@ -240,6 +240,8 @@ def _expected(types: str | list[str], value: object) -> str:
 def _type_hint(expected: str | list[str], value: object) -> str:
     if value is None and expected == "object":
         return "write {} where there is nothing to set"
+    if expected == "string" and isinstance(value, int | float):
+        return "write it in quotes"
     if expected == "string" and isinstance(value, dict) and len(value) == 1:
         [(key, rest)] = value.items()  # `a: b` is a mapping of YAML, `a:b` a text
         if isinstance(key, str) and isinstance(rest, str):

@@ -6,7 +6,7 @@ import ast
 import math
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -537,23 +537,31 @@ def test_a_call_that_keeps_its_time_stays_in_the_thread_of_the_caller(component:
         bridge.call(endpoint, "request")
 
 
-def test_a_bridge_that_is_closed_cancels_the_calls_under_way() -> None:
+def test_a_bridge_that_is_closed_cancels_all_calls_under_way() -> None:
+    """Also after one that cannot be cancelled, which the close reports."""
     bridge, endpoint = Prompt(), Endpoint("b", "prompt", Role.SERVICE, ("x",))
-    is_waiting, is_cancelled = threading.Event(), threading.Event()
+    is_cancelled = threading.Event()
 
-    def wait_for_the_end() -> str:
-        with bridge.cancelling(is_cancelled.set):
-            is_waiting.set()
-            assert is_cancelled.wait(patience())
-        return "ended early"
+    def begin(cancel: Callable[[], object]) -> Future[object]:
+        is_waiting = threading.Event()
 
-    bridge.step = wait_for_the_end
-    with ThreadPoolExecutor() as pool:
+        def wait_for_the_end() -> str:
+            with bridge.cancelling(cancel):
+                is_waiting.set()
+                assert is_cancelled.wait(patience())
+            return "ended early"
+
+        bridge.step = wait_for_the_end
         called = pool.submit(bridge.call, endpoint, "request")
         assert is_waiting.wait(patience())
+        return called
+
+    with ThreadPoolExecutor() as pool:
+        calls = [begin(fail), begin(is_cancelled.set)]
         bridge.step = lambda: None
-        bridge.close()
-        assert called.result(patience()) == "ended early"
+        with pytest.raises(BridgeError, match=r"cancelling calls.*native trouble"):
+            bridge.close()
+        assert [call.result(patience()) for call in calls] == ["ended early"] * 2
 
 
 class Quick(Puppet):

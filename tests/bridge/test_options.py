@@ -295,7 +295,7 @@ def test_a_file_names_every_mistake_in_the_options_of_a_bridge_at_its_place(tmp_
             'the plugin house: unknown key "wid"',
             'did you mean "wide"?',
         ),
-        (f"{path}.tls.ca", "the plugin house: expected text, got 3", ""),
+        (f"{path}.tls.ca", "the plugin house: expected text, got 3", "write it in quotes"),
     }
     assert {problem.place.line for problem in report.problems} == {5}
 

@@ -287,6 +287,15 @@ def test_request_prints_a_message_a_line(robot: str) -> None:
     assert result.exit_code == 0
 
 
+def test_request_warns_of_what_a_careful_reader_should_know(robot: str) -> None:
+    text = Path(robot).read_text(encoding="utf-8")
+    declared = '["cli_counting:count"], structure: {type: object}}'
+    Path(robot).write_text(text.replace('["cli_counting:count"]}', declared), encoding="utf-8")
+    result = run("request", "count", "-f", robot, "-n", "1")
+    assert "warning: counter.output.default: the declared structure replaces" in result.stderr
+    assert result.exit_code == 0
+
+
 def test_a_function_without_an_output_runs_until_it_ends(robot: str) -> None:
     result = run("request", "kept", "-f", robot)
     assert (result.exit_code, result.stdout) == (0, ""), result.output

@@ -155,7 +155,11 @@ SHAPE = {
         component("output: {endpoint: x}"), 5, 63, f"{AT}.output.endpoint", 'write ["x"]'
     ),
     "endpoint of a number": Bad(
-        component("output: {endpoint: [1]}"), 5, 64, f"{AT}.output.endpoint[0]", "expected text"
+        component("output: {endpoint: [1]}"),
+        5,
+        64,
+        f"{AT}.output.endpoint[0]",
+        "expected text, got 1 (write it in quotes)",
     ),
     "empty endpoint": Bad(
         component("output: {endpoint: []}"), 5, 63, f"{AT}.output.endpoint", "at least 1"

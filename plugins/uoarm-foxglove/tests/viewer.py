@@ -58,8 +58,8 @@ class Viewer:
     def send(self, op: str, **fields: object) -> None:
         self.socket.send(json.dumps({"op": op, **fields}))
 
-    def receive(self) -> dict[str, Any]:
-        frame = self.socket.recv(timeout=patience())
+    def receive(self, timeout: float | None = None) -> dict[str, Any]:
+        frame = self.socket.recv(timeout=patience() if timeout is None else timeout)
         if isinstance(frame, str):
             read: dict[str, Any] = json.loads(frame)
             return read
@@ -76,10 +76,18 @@ class Viewer:
             "data": data,
         }
 
-    def until(self, op: object) -> dict[str, Any]:
+    def has(self, op: object) -> bool:
+        """Whether a message of an operation is there, which is taken."""
+        try:
+            self.until(op, 0.0)
+        except TimeoutError:
+            return False
+        return True
+
+    def until(self, op: object, timeout: float | None = None) -> dict[str, Any]:
         """Return the next message of an operation; announcements before it are kept by name."""
         while True:
-            message = self.receive()
+            message = self.receive(timeout)
             for channel in message.get("channels", ()):
                 self.channels[channel["topic"]] = channel
             for service in message.get("services", ()):

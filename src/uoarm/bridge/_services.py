@@ -115,11 +115,21 @@ class CallsUnderWay:
         return way is not None and way() is not False
 
     def cancel_all(self) -> None:
-        """Cancel every call, as `cancel` does."""
+        """Cancel every call, as `cancel` does; one that cannot be keeps none of the others.
+
+        Raises:
+            Exception: what the first one raised that could not be cancelled.
+        """
         with self._lock:
             calls = tuple(self._calls)
+        errors: list[Exception] = []
         for call in calls:
-            self.cancel(call)
+            try:
+                self.cancel(call)
+            except Exception as error:  # noqa: BLE001 - raised when all have been tried
+                errors.append(error)
+        if errors:
+            raise errors[0]
 
 
 T = TypeVar("T")

@@ -103,6 +103,8 @@ def request(
     ):
         if connection.plan.provider.component.service is not None:
             raise UsageError(f"function {name!r} is a service: use call, not request")
+        for warning in connection.plan.warnings:
+            print_warning(warning)
         reading = _Reading(robot, connection, count, duration)
         if not connection.plan.provider.component.outputs:
             _stay(connection, duration)
