@@ -531,6 +531,15 @@ def test_a_call_that_keeps_its_time_stays_in_the_thread_of_the_caller(component:
     bridge.step = cancelled
     assert bridge.call(endpoint, "request", number=8) == "ended early"
     assert reports == ["cancelled"]
+
+    def cancelled_with_an_error() -> None:
+        cancelled()
+        fail()
+
+    bridge.step = cancelled_with_an_error
+    with pytest.raises(BridgeError, match="native trouble") as caught:
+        bridge.call(endpoint, "request", number=8)
+    assert caught.value.reason is FailureReason.REFUSED  # the service is not to blame
     bridge.step = lambda: None
     bridge.close()
     with pytest.raises(BridgeError, match="is closed"):

@@ -251,14 +251,20 @@ class Bridge(BridgeSteps):
             finally:
                 self._pending_calls.end(call, outer)
 
-        return self._step(
-            BoundedStep("calling ", endpoint),
-            timeout,
-            begin,
-            on_give_up=lambda: self._pending_calls.cancel(call),
-            keeps_time=lambda: self._keeps_time(endpoint),
-            grace=_GRACE_SECONDS,  # a bridge that keeps the limit says what it waited for
-        )
+        try:
+            return self._step(
+                BoundedStep("calling ", endpoint),
+                timeout,
+                begin,
+                on_give_up=lambda: self._pending_calls.cancel(call),
+                keeps_time=lambda: self._keeps_time(endpoint),
+                grace=_GRACE_SECONDS,  # a bridge that keeps the limit says what it waited for
+            )
+        except BridgeError as error:
+            # What a framework says of a call that was cancelled is no failure of the service.
+            if call.is_cancelled and error.reason is FailureReason.RAISED:
+                raise BridgeError(str(error), FailureReason.REFUSED) from error
+            raise
 
     @final
     def cancel_call(self, number: int) -> bool:
