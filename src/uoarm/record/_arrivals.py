@@ -8,13 +8,14 @@ than a message does.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Generic, Protocol, TypeVar
 
-from attrs import frozen
+from attrs import define, frozen
 
 from uoarm.cdr import octets_of
 from uoarm.model import (
@@ -27,6 +28,7 @@ from uoarm.model import (
     StatusEvent,
     message_octets,
 )
+from uoarm.record._forms import ChannelForm
 
 __all__ = [
     "Arrivals",
@@ -34,6 +36,7 @@ __all__ = [
     "ReadOctets",
     "RecordedConnection",
     "RecordedEvents",
+    "RecordedFunction",
     "RecordedRobot",
 ]
 
@@ -104,6 +107,32 @@ class ReadOctets:
 
 
 T = TypeVar("T", bound=ArrivingTrack)
+
+
+@define(eq=False)
+class RecordedFunction:
+    """One function: its connection and what came of it.
+
+    `received` is written by the thread that brings its messages, of which there is one at a time;
+    what follows it by the writer alone, save `taken` and what follows that: see `ArrivingTrack`.
+    """
+
+    function: str
+    received: int = 0
+    recorded: int = 0
+    unwritable: int = 0
+    gaps: int = 0
+    last_gap: float = -math.inf
+    taken: int = 0
+    octets: int = 0
+    definition: str = ""
+    connection: RecordedConnection | None = None
+    form: ChannelForm | None = None
+
+    def new_gaps(self) -> list[Gap]:
+        """Return those since the last that was written. By time: a connection forgets old ones."""
+        assert self.connection is not None, "it was opened"
+        return [gap for gap in self.connection.gaps if gap.time > self.last_gap]
 
 
 class Arrivals(Generic[T]):

@@ -14,7 +14,6 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from attrs import define
 from typing_extensions import Self
 
 from uoarm._raised import LimitedLog, text_of
@@ -23,8 +22,8 @@ from uoarm.model import Gap, Message, StatusEvent
 from uoarm.record._arrivals import (
     Arrivals,
     ReadOctets,
-    RecordedConnection,
     RecordedEvents,
+    RecordedFunction,
     RecordedRobot,
 )
 from uoarm.record._file import (
@@ -36,7 +35,7 @@ from uoarm.record._file import (
     gap_message,
     require_mcap,
 )
-from uoarm.record._forms import EVENTS, ChannelForm, form_of, ros_events
+from uoarm.record._forms import EVENTS, form_of, ros_events
 from uoarm.record._options import (
     Instant,
     RecordedChannel,
@@ -57,33 +56,7 @@ _MOST_EVENTS = 10_000
 _FAILURES = frozenset({"lost", "failed"})
 
 
-@define(eq=False)
-class _Track:
-    """One function: its connection and what came of it.
-
-    `received` is written by the thread that brings its messages, of which there is one at a time;
-    what follows it by the writer alone, save `taken` and what follows that: see `ArrivingTrack`.
-    """
-
-    function: str
-    received: int = 0
-    recorded: int = 0
-    unwritable: int = 0
-    gaps: int = 0
-    last_gap: float = -math.inf
-    taken: int = 0
-    octets: int = 0
-    definition: str = ""
-    connection: RecordedConnection | None = None
-    form: ChannelForm | None = None
-
-    def new_gaps(self) -> list[Gap]:
-        """Return those since the last that was written. By time: a connection forgets old ones."""
-        assert self.connection is not None, "it was opened"
-        return [gap for gap in self.connection.gaps if gap.time > self.last_gap]
-
-
-_Item: TypeAlias = "tuple[_Track, int, int, Message, int]"
+_Item: TypeAlias = "tuple[RecordedFunction, int, int, Message, int]"
 """As `Arrivals` has it."""
 
 
@@ -144,8 +117,10 @@ class Recording:
         self._last = self._began = self._clock()
         self._ended: Instant | None = None
         self._schedule = RecordingSchedule(options, self._last)
-        self._tracks = [_Track(function) for function in functions]
-        self._arrivals: Arrivals[_Track] = Arrivals(options.queue, self._tracks, self._drop)
+        self._tracks = [RecordedFunction(function) for function in functions]
+        self._arrivals: Arrivals[RecordedFunction] = Arrivals(
+            options.queue, self._tracks, self._drop
+        )
         self._end_observing: Callable[[], None] = lambda: None
         if options.ring is None:
             # Before anything is opened: a path that cannot be written costs no connection.
@@ -404,7 +379,7 @@ class Recording:
     def _are_all_ended(self) -> bool:
         return all(track.connection is None or track.connection.ended for track in self._tracks)
 
-    def _encoded(self, track: _Track, message: Message) -> bytes | None:
+    def _encoded(self, track: RecordedFunction, message: Message) -> bytes | None:
         assert track.form is not None, "it was opened"
         if type(message) is ReadOctets:
             return message.octets
@@ -484,7 +459,7 @@ class Recording:
                     break
                 self._write_gap(file, at, track, gap)
 
-    def _write_gap(self, file: McapFile, at: Instant, track: _Track, gap: Gap) -> None:
+    def _write_gap(self, file: McapFile, at: Instant, track: RecordedFunction, gap: Gap) -> None:
         assert track.connection is not None, "it was opened"
         track.gaps, track.last_gap = track.gaps + 1, gap.time
         self._add_event(file, at, gap_message(track.function, track.connection.id, gap))

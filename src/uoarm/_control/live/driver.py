@@ -527,7 +527,7 @@ class Driver:
                     step_name = f"takeover of connection {action.connection}"
                     deadlines.run(step_name, _OPEN_SECONDS, open_parts)
                 # What opens at once is opened by the application's own thread, without a limit.
-                elif left < math.inf and self._has_others(action.placement.plan, record):
+                elif left < math.inf and self._is_dispensable(action.placement.plan, record):
                     step_name = f"opening a plan of connection {action.connection}"
                     limit = round(_FIRST_SHARE * left, 2)  # the rest is for another plan
                     deadlines.run(step_name, limit, open_parts, isolated=True)
@@ -538,18 +538,10 @@ class Driver:
             return ev.Opened(action.batch, tuple(done), error)
         return ev.Opened(action.batch, tuple(done))
 
-    def _has_others(self, plan: Plan, record: ConnectionRecord) -> bool:
-        """Whether another component may take the place of one of a first plan."""
-        if not self.state.policy.enabled or record.move is None:
-            return False
-        left_out = {*plan.names, *record.move.excluded}
-        names = {step.component.function for step in plan.steps}
-        functions = self._revisions.current.robot.functions
-        return any(
-            component.name not in left_out
-            for function in filter(None, map(functions.get, names))
-            for component in function.components
-        )
+    def _is_dispensable(self, plan: Plan, record: ConnectionRecord) -> bool:
+        """Whether another plan may do for a request."""
+        move, revision = record.move, self._revisions.current
+        return self.state.policy.enabled and bool(move and revision.has_others(plan, move.excluded))
 
     def _span(
         self, name: str, connection: str, *, plan: Plan | None = None, **attributes: str

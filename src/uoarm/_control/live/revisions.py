@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Container, Iterator
+from collections.abc import Callable, Collection, Container, Iterable, Iterator
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 
@@ -138,6 +138,16 @@ class Revision:
             self.within(function, excluded),
             tuple(sorted(self.within(function, failed), key=failed.place)),
             lambda name, without: self.resolve(name, without, avoided),
+        )
+
+    def has_others(self, plan: Plan, excluded: Iterable[str]) -> bool:
+        """Whether a component that is not excluded may take the place of one of a plan's."""
+        left_out = {*plan.names, *excluded}
+        names = {step.component.function for step in plan.steps}
+        return any(
+            component.name not in left_out
+            for function in filter(None, map(self.robot.functions.get, names))
+            for component in function.components
         )
 
     def seek_replacement(self, action: act.FindReplacement) -> ev.ReplacementSought:
