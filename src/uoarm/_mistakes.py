@@ -219,7 +219,7 @@ def _unknown_keys(
 
 
 def near(value: object, allowed: Collection[object], speller: Speller) -> str:
-    """Return which of the allowed words a misspelt one may have been, or a number is to be."""
+    """Return what may have been meant by a value that is none of the allowed words."""
     if not isinstance(value, str):
         return "write it in quotes" if clip(value) in allowed else ""
     return speller.guess(value, [any_of([item]) for item in allowed if item != value])

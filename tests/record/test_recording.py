@@ -31,7 +31,7 @@ from uoarm.record import Recording, RecordOptions, _recording
 from uoarm.record._file import KeptMessage, Ring
 from uoarm.record._forms import EVENTS
 from uoarm.record._options import Instant
-from uoarm.testing import Background, MemoryBridge, patience, wait
+from uoarm.testing import Background, Hang, MemoryBridge, patience, wait
 
 MakeRobot = Callable[[], RobotManager]
 BLOCK = QueuePolicy(length=1000, policy="block", timeout=600)
@@ -149,27 +149,15 @@ def test_what_finds_no_room_before_the_writer_is_counted_and_seen_in_the_numbers
     bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
 ) -> None:
     clicks = bridge.emitter("clicks", COUNT)
-    held, go_on = threading.Event(), threading.Event()
-
     robot = make_robot()
     queue = QueuePolicy(length=3)
     with robot.record("counter", path=tmp_path / "run.mcap", queue=queue) as recording:
-        track = recording._tracks[0]
-        form = track.form
-        assert form is not None
-        encode = form.encode
-
-        def slow(message: Message) -> bytes:
-            held.set()
-            go_on.wait(patience())
-            return encode(message)
-
-        object.__setattr__(form, "encode", slow)
+        writer = hang_writer(recording)
         clicks.emit({"n": 0})
-        assert held.wait(patience())
+        assert writer.entered.wait(patience())
         for n in range(1, 11):
             clicks.emit({"n": n})
-        go_on.set()
+        writer.release()
     status = recording.status()
     assert status.dropped == {"queue-full": 7}
     assert (status.channels[0].received, status.channels[0].recorded) == (11, 4)
@@ -455,19 +443,11 @@ def test_a_ring_that_is_not_written_in_time_says_so_and_is_written_later(
     robot, options = make_robot(), RecordOptions.of(ring=60.0, queue=BLOCK)
     recording = Recording(robot, ["counter"], tmp_path / "run.mcap", options, robot._events)
     with recording:
-        form, go_on = recording._tracks[0].form, threading.Event()
-        assert form is not None
-        encode = form.encode
-
-        def slow(message: Message) -> bytes:
-            go_on.wait(patience())
-            return encode(message)
-
-        object.__setattr__(form, "encode", slow)
+        writer = hang_writer(recording)
         clicks.emit({"n": 1})
         with pytest.raises(UsageError, match=r"not written after 0\.01 s"):
             recording.dump(timeout=0.01)
-        go_on.set()
+        writer.release()
         wait(lambda: recording.status().files, "it is written later")
     assert read_json_of(recording.status().files[0], "/counter") == [{"n": 1}]
 
@@ -596,24 +576,14 @@ def test_events_that_find_no_room_before_the_writer_are_counted(
 ) -> None:
     monkeypatch.setattr(_recording, "_MOST_EVENTS", 3)
     clicks = bridge.emitter("clicks", COUNT)
-    held, go_on = threading.Event(), threading.Event()
     robot = make_robot()
     with robot.record("counter", path=tmp_path / "run.mcap") as recording:
-        form = recording._tracks[0].form
-        assert form is not None
-        encode = form.encode
-
-        def slow(message: Message) -> bytes:
-            held.set()
-            go_on.wait(patience())
-            return encode(message)
-
-        object.__setattr__(form, "encode", slow)
+        writer = hang_writer(recording)
         clicks.emit({"n": 1})
-        assert held.wait(patience())
+        assert writer.entered.wait(patience())
         for number in range(10):
             robot._events.post("test", str(number))
-        go_on.set()
+        writer.release()
     status = recording.status()
     (path,) = status.files
     changes = [event["change"] for event in read_json_of(path, "/uoarm/events")]
@@ -622,3 +592,17 @@ def test_events_that_find_no_room_before_the_writer_are_counted(
     assert status.dropped == {"events": 10 - len(left)}
     assert summary(status).endswith(f"\n  {10 - len(left)} events lost before the writer")
     assert len(left) < 4
+
+
+def hang_writer(recording: Recording) -> Hang:
+    """Have the writer hang at each message of the first function, until it is released."""
+    form, hang = recording._tracks[0].form, Hang()
+    assert form is not None
+    encode = form.encode
+
+    def slow(message: Message) -> bytes:
+        hang.wait()
+        return encode(message)
+
+    object.__setattr__(form, "encode", slow)
+    return hang

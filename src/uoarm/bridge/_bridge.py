@@ -365,8 +365,8 @@ class Bridge(BridgeSteps):
             self._is_closed = True
             channels = list(self._open)
         failures: list[BridgeError] = []
-        step = f"bridge {self.name!r}: cancelling calls"
         if len(self._pending_calls):
+            step = f"bridge {self.name!r}: cancelling calls"
             try:
                 with translated(step):
                     deadlines.run(step, timeout, self._pending_calls.cancel_all)

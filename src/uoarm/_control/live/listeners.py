@@ -1,4 +1,4 @@
-"""Who is told of changes: events get a number, and come in order; to listeners in one thread."""
+"""Listeners and observers of changes: events get a number, and come to each in order."""
 
 from __future__ import annotations
 
