@@ -27,8 +27,6 @@ from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-__all__ = ["ATTACKS", "Attack"]
-
 SECONDS = 5.0
 
 

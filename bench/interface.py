@@ -17,8 +17,6 @@ import attrs
 
 import uoarm
 
-__all__ = ["interface", "public_modules"]
-
 # `cli` is commands, which docs/cli.md has.
 _ELSEWHERE = {"uoarm.cli", "uoarm.__main__"}
 

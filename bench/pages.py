@@ -19,8 +19,6 @@ from bench.structure import words_of_prose
 from bench.tables import print_table
 from bench.turns import ROOT
 
-__all__ = ["PageFigures", "page_figures", "pages", "sentences_of"]
-
 # Figures of speech that are more than a word, and words for which there is a plainer one.
 _PHRASES = re.compile(
     r"\b(?:in vain|go(?:es)? on|octets?|who comes|can(?:not)? be had|let go of|wrong words)\b",

@@ -21,18 +21,6 @@ from pathlib import Path
 from bench.tables import print_table
 from bench.turns import ROOT
 
-__all__ = [
-    "class_names",
-    "loop_variables",
-    "prose_of",
-    "python_files",
-    "small_modules",
-    "structure_figures",
-    "words_of_names",
-    "words_of_prose",
-    "words_of_texts",
-]
-
 AREAS = {
     "core": ("src",),
     "plugins": ("plugins/*/src",),

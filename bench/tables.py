@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 
-__all__ = ["at", "microseconds", "print_table", "row", "spread"]
-
 
 def microseconds(
     action: Callable[[], object], *, repeat: int = 1000, batch: int = 1

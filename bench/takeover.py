@@ -16,8 +16,6 @@ from bench.turns import load
 from uoarm.config import loads
 from uoarm.testing import Emitter, MemoryBridge
 
-__all__ = ["chain"]
-
 DEATHS = 200
 ROBOT = """
 version: 1

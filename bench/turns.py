@@ -20,22 +20,6 @@ from typing import Any
 
 from attrs import frozen
 
-__all__ = [
-    "ROOT",
-    "Child",
-    "Collections",
-    "environment",
-    "load",
-    "measured_apart",
-    "module",
-    "parser",
-    "resident_megabytes",
-    "running",
-    "serving",
-    "states",
-    "wait_for_port",
-]
-
 ROOT = Path(__file__).parents[1]
 _LIMIT_SECONDS = 1800.0
 _END_SECONDS = 20.0

@@ -12,8 +12,6 @@ import pytest
 
 from uoarm.testing import patience
 
-__all__ = ["Cable", "laid_cable"]
-
 _NETWORKS = 2**14  # of four addresses each, in 10.214.0.0/16
 _TRIES = 100
 

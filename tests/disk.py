@@ -9,8 +9,6 @@ from contextlib import contextmanager
 
 import pytest
 
-__all__ = ["full_after"]
-
 
 @contextmanager
 def full_after(octets: int) -> Iterator[None]:

@@ -12,8 +12,6 @@ import pytest
 
 from uoarm.testing import patience
 
-__all__ = ["OUTSIDE", "Nat", "nat"]
-
 OUTSIDE = "198.51.100.1"
 """The address outside; every address is in namespaces of the test, so each run has the same."""
 

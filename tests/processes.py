@@ -7,8 +7,6 @@ from pathlib import Path
 
 from uoarm.testing import patience
 
-__all__ = ["hold_ends_all", "lives", "states", "thread_names"]
-
 
 def hold_ends_all(*command: str) -> None:
     """Hold that SIGTERM ends a program with all that it started, in order, once it has printed.

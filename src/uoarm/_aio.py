@@ -40,8 +40,6 @@ from uoarm.model import (
     ValidationMode,
 )
 
-__all__ = ["AsyncConnection", "AsyncRobotManager"]
-
 Result = TypeVar("Result")
 # Covariant: methods that a manager inherits are those of a proxy of what it is more generally.
 Threaded_co = TypeVar("Threaded_co", covariant=True)

@@ -24,8 +24,6 @@ from typing import (
 
 from uoarm.errors import UsageError
 
-__all__ = ["arguments", "built_with_arguments"]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")

@@ -8,8 +8,6 @@ from random import Random
 from attrs import field, frozen
 from attrs.validators import ge, gt, le
 
-__all__ = ["Backoff", "TurnCounter", "Turns"]
-
 _FIRST_REST_SECONDS = 0.001
 _LONGEST_REST_SECONDS = 0.02
 

@@ -11,8 +11,6 @@ from uoarm.bridge import Registry
 from uoarm.errors import PluginError
 from uoarm.plugins import CONTRACT_VERSION, Check, CheckHooks
 
-__all__ = ["bridge_facts", "plugin_facts"]
-
 _GROUP = "uoarm.checks"
 _BRIDGES = "uoarm.bridges"
 

@@ -13,8 +13,6 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 
-__all__ = ["deferred"]
-
 
 def deferred(
     package: str, modules: Mapping[str, Iterable[str]], submodules: Iterable[str] = ()

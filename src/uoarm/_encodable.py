@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["encodable", "is_encodable"]
-
 
 def is_encodable(text: str) -> bool:
     """Say whether text can be encoded as UTF-8."""

@@ -15,8 +15,6 @@ from attrs import field, frozen
 from uoarm._version import __version__
 from uoarm.model import StatusMap
 
-__all__ = ["Figure", "observe", "status_figures"]
-
 _KEPT_SECONDS = 0.2
 
 

@@ -17,8 +17,6 @@ from collections.abc import Callable, Collection, Iterable
 from functools import partial
 from typing import Any, Protocol
 
-__all__ = ["at_exit", "close_in_children", "default_in_children", "generation"]
-
 
 class _Closable(Protocol):
     def close(self) -> object: ...

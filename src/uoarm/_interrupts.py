@@ -13,8 +13,6 @@ import threading
 from types import FrameType
 from typing import Any
 
-__all__ = ["Uninterrupted"]
-
 _NUMBERS = int(signal.SIGINT), int(signal.SIGTERM)
 _NOTHING: tuple[int, FrameType | None] = 0, None
 

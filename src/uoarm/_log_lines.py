@@ -13,15 +13,6 @@ from datetime import datetime, timezone
 
 from uoarm._encodable import encodable
 
-__all__ = [
-    "HOST_LINE",
-    "HostFormatter",
-    "JsonFormatter",
-    "StderrHandler",
-    "TextFormatter",
-    "read_host_line",
-]
-
 HOST_LINE = 8192
 """The most octets of a line that a host writes and its manager reads in one piece."""
 

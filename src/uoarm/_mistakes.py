@@ -18,19 +18,6 @@ from uoarm.errors import UoarmError
 if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
 
-__all__ = [
-    "TYPES",
-    "Mistake",
-    "Speller",
-    "any_of",
-    "certainly_matches",
-    "choose",
-    "is_about_a_key",
-    "mistakes",
-    "near",
-    "schema_mistakes",
-]
-
 _COMPARISONS = 300_000
 _CALL = 20
 _LONGEST = 128

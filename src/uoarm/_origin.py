@@ -16,8 +16,6 @@ from attrs import frozen
 if TYPE_CHECKING:
     from importlib.metadata import Distribution
 
-__all__ = ["Origin", "install_command", "installed", "origin_of"]
-
 _CORE = "uoarm"
 # An extra that brings another distribution of ours, which pip must not look for on an index.
 _BROUGHT = {(_CORE, "server"): "uoarm-rosbridge"}

@@ -17,8 +17,6 @@ from uoarm.errors import PluginError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["PluginProblem", "cause_of", "hookimpl", "hookspec", "installed", "values_of"]
-
 hookspec = pluggy.HookspecMarker("uoarm")
 hookimpl = pluggy.HookimplMarker("uoarm")
 

@@ -18,16 +18,6 @@ if TYPE_CHECKING:
     from uoarm.model import Schema
     from uoarm.testing import Emitter, Hang, MemoryBridge, MemoryService, Taker
 
-__all__ = [
-    "FakeComponents",
-    "Faults",
-    "Robots",
-    "fake_component",
-    "faults",
-    "memory_bridge",
-    "robot",
-]
-
 
 class FakeComponents:
     """Makes components in memory, each providing a function of its own name."""

@@ -18,18 +18,6 @@ from typing import ParamSpec, TypeVar
 from uoarm._encodable import encodable
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 
-__all__ = [
-    "ContainedError",
-    "LimitedLog",
-    "contained",
-    "foreign",
-    "from_own_frames",
-    "is_interrupt",
-    "is_raised",
-    "sentence_of",
-    "text_of",
-]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

@@ -11,8 +11,6 @@ from contextlib import asynccontextmanager, contextmanager, suppress
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import Message
 
-__all__ = ["HeldCommand", "renewal_period", "renewed", "renewed_in_task"]
-
 _log = logging.getLogger("uoarm.commands")
 _SHARE = 0.25  # of the lifetime: three renewals may come late before it is over
 _PERIOD = 0.1

@@ -36,8 +36,6 @@ from uoarm.model import (
     StopReport,
 )
 
-__all__ = ["EmergencyStop", "InputLease", "Lease", "StopFile"]
-
 
 class StopFile:
     """Whether all is stopped, kept over restarts. Thread safe."""

@@ -6,8 +6,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-__all__ = ["HIDDEN", "is_secret_name", "without_secrets"]
-
 HIDDEN = "***"
 """What stands in the place of a secret."""
 

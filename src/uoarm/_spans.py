@@ -9,8 +9,6 @@ from typing import Any
 
 from uoarm._version import __version__
 
-__all__ = ["current", "past_span", "span"]
-
 
 def span(name: str, context: Any = None, **attributes: str) -> AbstractContextManager[Any]:
     """Return a span around a block, which also notes what the block raises.

@@ -18,8 +18,6 @@ from pathlib import Path
 
 from uoarm.testing import patience
 
-__all__ = ["Seen", "on_a_terminal"]
-
 _ERASED = "\x1b[2K"
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\r")
 _LIMIT_SECONDS = 5 * patience()

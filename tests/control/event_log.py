@@ -15,8 +15,6 @@ from uoarm._control.engine.placement import Kind, Part
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import FailoverPolicy, FailureLimits, Health, Plan, PortRef, Role, ValidationMode
 
-__all__ = ["FindPlan", "read_event"]
-
 # All events, and no other class of any module: a line of a log can have nothing else made.
 _EVENTS: Mapping[str, Callable[..., Event]] = {kind.__name__: kind for kind in get_args(Event)}
 

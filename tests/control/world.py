@@ -36,8 +36,6 @@ from uoarm.model import (
 )
 from uoarm.testing import MemoryBridge
 
-__all__ = ["FACE", "NAME", "OTHERS", "PORTS", "Plans", "World", "desired", "discovered"]
-
 NUMBER: Any = {"type": "integer"}
 FACE = """
 version: 1

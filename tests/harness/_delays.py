@@ -15,8 +15,6 @@ import threading
 import time
 from typing import Any
 
-__all__ = ["DELAYS", "begin"]
-
 DELAYS = "UOARM_TEST_DELAYS"
 _BEGIN_SECONDS = 0.05
 _WAKE_SECONDS = 0.02

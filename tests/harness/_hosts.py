@@ -14,8 +14,6 @@ from uoarm.model import BridgeSpec
 from uoarm.testing import patience
 from uoarm.testing.conformance import World
 
-__all__ = ["SharesHost", "renamed", "shared_host"]
-
 # Of the kit: those that break the world, and the one that looks for what a bridge still holds.
 _BREAKING = "Breaking."
 _OF_ITS_OWN = "EndingRules.test_what_is_closed_keeps_nothing_of_who_used_it"

@@ -14,8 +14,6 @@ from pathlib import Path
 import pytest
 from attrs import frozen
 
-__all__ = ["KitSkip", "kit_skips", "mistake_of"]
-
 _PAGE = Path(__file__).parents[1] / "testing" / "skips.md"
 _KIT = "/testing/conformance/"
 # Suites of bridges that are no plugin's, by the folder or module of their tests.

@@ -21,8 +21,6 @@ from pathlib import Path
 
 from uoarm.testing import patience, wait
 
-__all__ = ["Holdings", "end_processes", "maker", "processes_of", "variables_of"]
-
 MARK = "UOARM_TEST_MADE_BY"
 _RUN = f"{os.getpid()}-{time.monotonic_ns()}"
 _PROCESSES = Path("/proc")

@@ -15,8 +15,6 @@ from operator import attrgetter
 from types import ModuleType
 from typing import Any
 
-__all__ = ["LIMITED", "LongLimits"]
-
 _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
     "uoarm._adapt._edge": {"check_edge": ("seconds", "suggest_seconds")},
     "uoarm._host.process_connection": {"HostSettings": ("silence", "start")},

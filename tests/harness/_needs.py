@@ -14,8 +14,6 @@ from pathlib import Path
 import pytest
 from attrs import field, frozen
 
-__all__ = ["MODULES", "NEEDS", "Need", "check", "kept_by_module", "missing", "of_module"]
-
 
 @frozen
 class Need:

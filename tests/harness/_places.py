@@ -10,8 +10,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["isolate", "unmeasured"]
-
 # What finds programs, certificates and package indexes, and what is said to the tests themselves.
 _KEPT = {
     "CI",

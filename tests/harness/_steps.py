@@ -12,8 +12,6 @@ from typing import Any
 
 import pytest
 
-__all__ = ["longest_step", "waits"]
-
 
 @pytest.fixture
 def longest_step(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], float]:

@@ -11,8 +11,6 @@ from uoarm.local import PythonBridge, PythonOptions
 from uoarm.model import Endpoint, Message, MessageStructure, Role
 from uoarm.testing import Collector, patience
 
-__all__ = ["ANY", "at", "bridge", "call", "describe", "given", "through"]
-
 ANY = MessageStructure(True)
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from fractions import Fraction
 
-__all__ = ["pairs"]
-
 # What a definition makes exact.
 EXACT = """
 [in_i] m 0.0254

@@ -13,8 +13,6 @@ from tests.schema._rewrites import negated
 
 from uoarm.testing._instance_builder import Choices, chance
 
-__all__ = ["mixed_pair", "mixed_schema"]
-
 Body = bool | dict[str, object]
 
 

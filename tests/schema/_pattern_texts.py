@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["TEXTS", "random_text"]
-
 _PIECES = (
     "a", "b", "1", "0", "{", "}", "{1,2}", "{2}", "{,2}", "{1", "[", "]", "[^", "[]", "[^]", "(",
     ")", "(?:", "(?=", "(?!", "(?<", "(?<n>", "(?P<n>", "|", "*", "+", "?", "*?", "^", "$", ".",

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from uoarm.testing._instance_builder import Choices
 
-__all__ = ["GENERATORS", "judge_scoped"]
-
 GENERATORS = {"dynamic": dynamic_pair, "recursive": recursive_pair, "far": far_pair}
 _WORLDS_OUTSIDE = 3
 

@@ -11,17 +11,6 @@ from uoarm.testing._instance_builder import chance
 if TYPE_CHECKING:
     from uoarm.testing._instance_builder import Choices
 
-__all__ = [
-    "BESIDE",
-    "FAR",
-    "ROOT",
-    "dynamic_pair",
-    "far_document",
-    "far_pair",
-    "leaf",
-    "recursive_pair",
-]
-
 DRAFT_2019 = "https://json-schema.org/draft/2019-09/schema"
 ROOT = "http://robots.example/root"
 BESIDE = "http://robots.example/other.json"

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from uoarm.testing._instance_builder import Choices
 
-__all__ = ["PAIRS", "UNKNOWN", "fillings", "places", "replaced"]
-
 UNKNOWN: dict[str, object] = {"$ref": "http://unknown.example/schema"}
 _SINGLES = (
     "items", "contains", "additionalProperties", "propertyNames", "not", "if", "then", "else",

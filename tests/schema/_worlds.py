@@ -17,8 +17,6 @@ from urllib.parse import urljoin
 
 from tests.schema._reference import frozen, is_number, type_of
 
-__all__ = ["InPlaceError", "Meaning", "World", "world"]
-
 SCALARS = (None, True, 0, 1, "a", "b")
 NAMES = ("a", "k")
 _SCHEMAS = (

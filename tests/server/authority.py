@@ -7,8 +7,6 @@ from pathlib import Path
 
 import trustme
 
-__all__ = ["Authority"]
-
 _DAY = timedelta(days=1)
 
 

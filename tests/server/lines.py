@@ -32,8 +32,6 @@ from uoarm.server.front_end import (
     read_text,
 )
 
-__all__ = ["LINES", "uoarm_front_ends"]
-
 MISTAKES = {
     "raise": ValueError("a mistake of this front end"),
     "quit": SystemExit("a mistake of this front end"),

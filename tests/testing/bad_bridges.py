@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from tests.testing.bad_descriptions import DESCRIPTION_BUGS, OPTION_BUGS, SERVICE_BUGS
-from tests.testing.bad_endings import BLOCKING_BUGS, CLOSING_BUGS, HEALTH_BUGS, LINK_BUGS, RULED_OUT
+from tests.testing.bad_endings import BLOCKING_BUGS, CLOSING_BUGS, HEALTH_BUGS, LINK_BUGS
 from tests.testing.bad_messages import ERROR_BUGS, MESSAGE_BUGS, WAITING_BUGS
 from tests.testing.bad_moments import MOMENT_BUGS
 from tests.testing.bad_services import BROKEN_BUGS
 from tests.testing.bad_worlds import Bug
 
 from uoarm.testing.conformance._world import rule_of
-
-__all__ = ["BUGS", "RULED_OUT", "table"]
-
 
 BUGS: tuple[Bug, ...] = (
     *MESSAGE_BUGS,

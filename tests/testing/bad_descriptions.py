@@ -17,9 +17,6 @@ from uoarm.testing import MemoryBridge
 from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._flow import ServiceRules
 
-__all__ = ["DESCRIPTION_BUGS", "OPTION_BUGS", "SERVICE_BUGS", "declares", "ghost"]
-
-
 # Describing.
 
 

@@ -36,17 +36,6 @@ from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import ServiceRules
 
-__all__ = [
-    "BLOCKING_BUGS",
-    "CLOSING_BUGS",
-    "HEALTH_BUGS",
-    "LINK_BUGS",
-    "RULED_OUT",
-    "joins_its_delivery",
-    "queued",
-]
-
-
 # Closing.
 
 

@@ -34,16 +34,6 @@ from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import DisturbanceRules
 from uoarm.testing.conformance._flow import Flow, ServiceRules
 
-__all__ = [
-    "ERROR_BUGS",
-    "MESSAGE_BUGS",
-    "WAITING_BUGS",
-    "late_in_other_words",
-    "loses_the_first",
-    "swallows",
-]
-
-
 # Waiting.
 
 

@@ -35,9 +35,6 @@ from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import Flow
 
-__all__ = ["MOMENT_BUGS", "reports_under_a_lock"]
-
-
 # Describing and declaring.
 
 

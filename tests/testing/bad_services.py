@@ -23,8 +23,6 @@ from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm.testing.conformance._failures import Breaking
 from uoarm.testing.conformance._flow import ServiceRules
 
-__all__ = ["BROKEN_BUGS", "CALL_BUGS", "noting_breaks"]
-
 
 class Breaks(threading.Event):
     """Set while a link is broken; `ever` says whether one was."""

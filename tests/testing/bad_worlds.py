@@ -14,30 +14,6 @@ from uoarm.bridge import Bridge, BridgeType, Delivery, HealthEvent, Registry, Si
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
 from uoarm.testing import MemoryBridge
 
-__all__ = [
-    "BLOCKING",
-    "CLOSING",
-    "ERRORS",
-    "HEALTH",
-    "LINKS",
-    "MESSAGES",
-    "OPTIONS_KIND",
-    "SERVICES",
-    "WAITING",
-    "WORDS",
-    "Altered",
-    "BadWorld",
-    "Bug",
-    "Spoil",
-    "changing",
-    "delivering",
-    "reporting",
-    "sending",
-    "sink",
-    "source",
-    "step",
-]
-
 
 class BadWorld(MemoryWorld):
     """A world whose bridges have one bug; what hangs in them ends with the world."""

@@ -50,8 +50,6 @@ from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import Flow, ServiceRules
 from uoarm.testing.conformance._world import PAGE, rule_of
 
-__all__ = ["GENERAL", "Spoiled", "hold_found_out", "rules_without_a_bug", "spoiled"]
-
 NOTHING_COMES = 0.5  # seconds after which nothing comes of most bugs
 LONGER = (1, 4, 16, 64)  # times as long as that, on a machine that is slow or busy
 HANGING = 5.0

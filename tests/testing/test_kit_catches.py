@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from hypothesis import Phase, settings
 from tests.testing import test_memory_conformance as memory
-from tests.testing.bad_bridges import BUGS, RULED_OUT, table
+from tests.testing.bad_bridges import BUGS, table
+from tests.testing.bad_endings import RULED_OUT
 from tests.testing.bad_worlds import BadWorld, Bug
 
 from uoarm.errors import UoarmError

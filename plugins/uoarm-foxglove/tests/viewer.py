@@ -14,8 +14,6 @@ from websockets.typing import Subprotocol
 from uoarm.server import Limits, Server
 from uoarm.testing import patience
 
-__all__ = ["SUBPROTOCOLS", "Serve", "Viewer"]
-
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 
 

@@ -18,8 +18,6 @@ from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import Flow, ServiceRules
 from uoarm.testing.conformance._world import rule_of
 
-__all__ = ["BUGS", "Bug", "table"]
-
 
 @frozen
 class Bug:

@@ -13,8 +13,6 @@ from uoarm.config import loads
 from uoarm.model import Robot
 from uoarm.server import Server, ServerOptions, serve_in_thread
 
-__all__ = ["ROBOT", "ServedRobot", "fleet", "here"]
-
 ROBOT = """
 version: 1
 bridges: {python: {}}

@@ -16,8 +16,6 @@ from typing_extensions import Self
 
 from uoarm.testing import patience
 
-__all__ = ["LIMIT", "PseudoTerminal", "fresh_link", "listening"]
-
 LIMIT = patience()
 _LINKS = tempfile.TemporaryDirectory(prefix="uoarm-rocos-")
 _COUNT = itertools.count()

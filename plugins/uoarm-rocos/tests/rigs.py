@@ -25,17 +25,6 @@ from uoarm_rocos.simulate import (
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.model import BridgeSpec, Endpoint, Health, Role
 
-__all__ = [
-    "Events",
-    "bridged",
-    "endpoint",
-    "line_end",
-    "on_cable",
-    "running",
-    "served",
-    "unplugged_by",
-]
-
 ROLES = {"output": Role.OUTPUT, "input": Role.INPUT, "service": Role.SERVICE}
 # `describe` waits as long as a test does, and is to say what became of the device before.
 QUICK = {"wait": LIMIT / 2, "backoff": [0.02, 0.1]}

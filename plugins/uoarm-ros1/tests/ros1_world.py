@@ -13,7 +13,7 @@ from peers import Master, Peer
 from uoarm_ros1._types import TypeStore
 
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
-from uoarm.testing import patience, slowness
+from uoarm.testing import patience
 from uoarm.testing.conformance import Pair, Retained, Served, Victim, World
 
 KINDS = {
@@ -196,6 +196,3 @@ def rounded(native: str, message: Message) -> Message:
         return float(value) if schema["type"] == "number" else value
 
     return of(TYPES.require(native).schema, message)
-
-
-__all__ = ["KINDS", "Ros1World", "large_image", "rounded", "slowness", "zero"]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 from typing import Any
 
-__all__ = ["redefine", "redefine_goal_reply", "redefine_reply"]
-
 # rosidl_message_type_support_t: identifier, data, two functions; then that of the hash.
 _POINTERS = 6
 _HASH_FUNCTION = 3

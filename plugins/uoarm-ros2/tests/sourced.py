@@ -19,8 +19,6 @@ import uoarm_ros2
 import uoarm
 from uoarm.testing import patience
 
-__all__ = ["Sourced"]
-
 _SITE = Path("lib") / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
 _OF_ROS = ("ros-", "ros_", "rosidl", "rosgraph")
 

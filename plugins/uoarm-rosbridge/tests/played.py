@@ -14,8 +14,6 @@ from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.model import BridgeSpec, Endpoint, Role
 from uoarm.testing import patience
 
-__all__ = ["ANSWERS", "LISTEN", "STRING", "TALK", "Played", "asked", "bridge_to", "seen"]
-
 STRING = {
     "type": "std_msgs/String", "fieldnames": ["data"], "fieldtypes": ["string"],
     "fieldarraylen": [-1], "examples": [""], "constnames": [], "constvalues": [],

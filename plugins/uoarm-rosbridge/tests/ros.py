@@ -18,8 +18,6 @@ from uoarm.server import Server
 from uoarm.server.front_end import read_binary
 from uoarm.testing import patience, wait
 
-__all__ = ["Enter", "Ros", "Serve", "end", "eventually", "frame", "open_socket", "opened", "url"]
-
 SECONDS = patience()
 
 

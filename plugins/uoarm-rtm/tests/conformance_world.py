@@ -19,8 +19,6 @@ from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import patience
 from uoarm.testing.conformance import Pair, Served, Victim, World
 
-__all__ = ["IDL", "KINDS", "TYPES_IDL", "RtmWorld", "begin_loop"]
-
 HERE = Path(__file__).parent
 IDL, TYPES_IDL = str(HERE / "service.idl"), str(HERE / "types.idl")
 KINDS = {

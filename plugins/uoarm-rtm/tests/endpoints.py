@@ -9,18 +9,6 @@ from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import patience, slowness, wait
 
-__all__ = [
-    "ANSWERS",
-    "HANGS_AFTER",
-    "Inbox",
-    "checked",
-    "endpoint",
-    "of",
-    "sink",
-    "source",
-    "stamped",
-]
-
 # As `call_timeout`, the longest there is: what answers late on a busy machine has not failed.
 ANSWERS = 60.0
 # As `call_timeout`: within it all answer but what hangs, on a machine that is busy, or stands

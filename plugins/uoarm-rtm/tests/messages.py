@@ -18,8 +18,6 @@ from uoarm_rtm._shape import (
 
 from uoarm.cdr import SWITCH
 
-__all__ = ["messages"]
-
 
 def messages(shape: Shape) -> st.SearchStrategy[Any]:
     """Return messages of a shape: numbers from the whole range, arrays short."""

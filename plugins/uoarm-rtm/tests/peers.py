@@ -15,8 +15,6 @@ from typing import Any
 
 from uoarm.testing import patience
 
-__all__ = ["Peer"]
-
 HERE = Path(__file__).parent
 LONG = "IDL:RTC/TimedLong:1.0"
 

@@ -22,18 +22,6 @@ from uoarm._adapt._mapping import (
 from uoarm._meaning import INHERITED, SCALED
 from uoarm.errors import MessageError
 
-__all__ = [
-    "MISSING",
-    "Adaptation",
-    "Maker",
-    "adapt",
-    "build_object",
-    "constant",
-    "each_item",
-    "mapped",
-    "reader",
-]
-
 Maker: TypeAlias = Callable[[Any], Any]
 _MAX_LOSSES = 200
 

@@ -23,8 +23,6 @@ from uoarm._meaning import (
 from uoarm.model import Edge, Meaning, MeaningLevel, Message, MessageStructure, Reason
 from uoarm.schema import CheckBudget, SchemaError, Verdict, check
 
-__all__ = ["EdgeVerdict", "check_edge", "transfer"]
-
 _CHECK_SECONDS = 10.0
 _SUGGEST_SECONDS = 5.0
 _STATED = Meaning()

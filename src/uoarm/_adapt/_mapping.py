@@ -11,23 +11,6 @@ from uoarm._meaning import INHERITED
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
 
-__all__ = [
-    "ArrayMapping",
-    "Clamp",
-    "Mapped",
-    "MappingEntry",
-    "MappingError",
-    "Path",
-    "Scale",
-    "SchemaField",
-    "Structure",
-    "UnfitError",
-    "leaves",
-    "number_problem",
-    "parse",
-    "write_path",
-]
-
 Path: TypeAlias = "tuple[str, ...]"
 
 _MAX_DEPTH = 16

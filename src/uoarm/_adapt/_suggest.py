@@ -24,8 +24,6 @@ from uoarm._meaning import (
 from uoarm.model import Meaning, MeaningLevel, MessageStructure
 from uoarm.schema import CheckBudget, check
 
-__all__ = ["converting_map", "flow", "suggest", "untried_conversion"]
-
 _MAX_FIELDS = 60
 _ALIKE = 0.6
 _AS_IT_IS = Conversion()

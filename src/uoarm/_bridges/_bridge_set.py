@@ -27,8 +27,6 @@ from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening, Options, St
 if TYPE_CHECKING:
     from uoarm._host.machines import MachineRegistry
 
-__all__ = ["BridgeSet", "Restarts", "StagedBridges", "close_logged", "facts_of", "start_hosted"]
-
 # Between two restarts of a bridge that died more than once; the first restart is free.
 _RESTARTS = Backoff(first=0.25, most=30.0)
 _HEALTHY_SECONDS = 60.0

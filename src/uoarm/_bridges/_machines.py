@@ -17,8 +17,6 @@ from uoarm.model import BridgeSpec, Health, Listening, MachineStatus
 if TYPE_CHECKING:
     from uoarm._host.machines import MachineRegistry
 
-__all__ = ["Joining", "Machines"]
-
 _log = logging.getLogger("uoarm")
 _LET_GO_SECONDS = 10.0
 

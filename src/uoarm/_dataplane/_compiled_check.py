@@ -16,8 +16,6 @@ from attrs import define, field, frozen
 from uoarm._encodable import is_encodable
 from uoarm.model import Message, Schema
 
-__all__ = ["Accepts", "NumberRange", "compile_check"]
-
 
 @frozen
 class NumberRange:

@@ -15,8 +15,6 @@ from uoarm._raised import LimitedLog, is_raised, text_of
 from uoarm.errors import MessageError
 from uoarm.model import FailureLimits, Health
 
-__all__ = ["Clock", "FailureRule", "FailureWatch", "InputWatch", "Notify", "OutputWatch"]
-
 Clock = Callable[[], float]
 """Returns a monotonic clock, in seconds."""
 

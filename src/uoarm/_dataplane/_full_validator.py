@@ -22,8 +22,6 @@ from uoarm._encodable import is_encodable
 from uoarm.model import Schema
 from uoarm.schema import UnsupportedPatternError, found_in
 
-__all__ = ["PATTERN_KEYWORDS", "validator_of"]
-
 
 def _pattern(_: Draft202012Validator, pattern: str, instance: Any, __: object) -> Errors:
     if isinstance(instance, str) and not _found(pattern, instance):

@@ -11,8 +11,6 @@ from uoarm._dataplane._failures import OutputWatch
 from uoarm._dataplane._route import Route
 from uoarm.model import Message, message_octets
 
-__all__ = ["Outlet"]
-
 _MOST_WRITERS = 1000
 _MOST_OCTETS = 64 * 1024 * 1024
 _DEPTH_WHILE_OPENING = 1000  # what the source keeps is known once it is open

@@ -14,8 +14,6 @@ from uoarm._raised import LimitedLog, contained, text_of
 from uoarm.errors import UsageError
 from uoarm.model import Deliver, Message, OverflowPolicy, QueuePolicy, message_octets
 
-__all__ = ["BoundedQueue", "Inbox", "QueueClosed"]
-
 T = TypeVar("T")
 
 

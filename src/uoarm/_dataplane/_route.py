@@ -12,13 +12,6 @@ from uoarm._raised import LimitedLog, contained, is_raised, text_of
 from uoarm.errors import CommandRefusedError, MessageError, UoarmError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
-__all__ = [
-    "SAMPLE_EVERY",
-    "Judge",
-    "MessageCheck",
-    "Route",
-]
-
 Judge = Callable[[Message, bool], None]
 """Raises MessageError for a message that is not what it should be, as it came or adapted."""
 

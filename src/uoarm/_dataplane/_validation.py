@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
     from jsonschema.protocols import Validator
 
-__all__ = ["make_check"]
-
 _LOOKED_AT = 50  # mistakes; those of other items of a list that are alike are said once
 _SHOWN = 10
 _LONGEST = 300  # characters of a sentence

@@ -17,8 +17,6 @@ from uoarm.schema import CheckBudget, SchemaError, Verdict, check
 if TYPE_CHECKING:
     from uoarm._wire import Form
 
-__all__ = ["MessageType", "T", "as_message"]
-
 T = TypeVar("T", default=Any)
 """What the messages of a connection are given as; without `as_type` the plain values."""
 

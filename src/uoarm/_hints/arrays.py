@@ -15,21 +15,6 @@ from attrs import frozen
 from uoarm._arguments import built_with_arguments
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = [
-    "HintError",
-    "NumpyArray",
-    "NumpyScalar",
-    "Octets",
-    "OctetsMark",
-    "Range",
-    "Shape",
-    "UInt8",
-    "array_of",
-    "is_class",
-    "scalar_of",
-    "unwrapped",
-]
-
 
 class HintError(BridgeError):
     """A type hint that has no message structure."""

@@ -21,8 +21,6 @@ from uoarm.model import Message
 if TYPE_CHECKING:
     from cattrs import Converter
 
-__all__ = ["fault_of", "plain", "plain_inside", "reader", "writer"]
-
 _FLAT = frozenset({bool, int, float, str, bytes, type(None)})
 
 

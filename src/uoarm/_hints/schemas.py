@@ -31,9 +31,6 @@ from uoarm._hints.arrays import (
     unwrapped,
 )
 
-__all__ = ["is_enum", "is_model", "is_named_tuple", "is_plain", "is_record", "schema_of"]
-
-
 _OCTET_ARRAY: Mapping[str, object] = {
     "type": "array",
     "items": {"type": "integer", "minimum": 0, "maximum": 255},

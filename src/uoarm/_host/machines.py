@@ -28,8 +28,6 @@ from uoarm.bridge import CONTRACT_VERSION
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import BridgeSpec, Listening
 
-__all__ = ["ClockOffset", "MachineConnection", "MachineRegistry"]
-
 _JOIN_SECONDS = 2.0
 
 

@@ -33,8 +33,6 @@ from uoarm.environments import find_interpreter, passed_on
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import BridgeSpec, Options
 
-__all__ = ["HostProcess", "HostSettings", "ProcessConnection", "host_command"]
-
 _TERMINATE_SECONDS = 0.7
 _FATAL = "Fatal Python error"
 

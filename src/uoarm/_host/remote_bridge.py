@@ -43,8 +43,6 @@ from uoarm.model import (
     to_json,
 )
 
-__all__ = ["AskChannel", "RemoteBridge", "RemoteChannel", "RemoteSink", "RemoteSource"]
-
 AskChannel = Callable[..., object]
 """Asks the host: an operation, then named values."""
 if TYPE_CHECKING:

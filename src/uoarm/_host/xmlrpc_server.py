@@ -21,8 +21,6 @@ from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, to_json, write_json
 
-__all__ = ["XmlRpcServer"]
-
 _LOOPBACK = "127.0.0.1"
 _LARGEST = 64 * 1024
 _DESCRIBE_SECONDS = 10.0

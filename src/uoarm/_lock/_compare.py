@@ -33,16 +33,6 @@ from uoarm.errors import ConfigurationError, PluginError, ResolutionError
 from uoarm.model import Component, LockDifference, LockMode, MessageStructure, Robot
 from uoarm.plugins import CONTRACT_VERSION, DefinitionFormat, DefinitionHooks, Definitions
 
-__all__ = [
-    "LockFinding",
-    "LockGuard",
-    "LockOutcome",
-    "compare",
-    "guard_of",
-    "read_schemas",
-    "uncompared_types",
-]
-
 _UNDECIDED = "it cannot be decided"
 Port = tuple[str, str]
 Find = Callable[[Port, MessageStructure], "MessageStructure | None"]

@@ -31,18 +31,6 @@ from uoarm.model import (
 )
 from uoarm.model import read_json as json_of
 
-__all__ = [
-    "Lock",
-    "LockError",
-    "LockedBridge",
-    "bridges_of",
-    "differing_packages",
-    "read_json",
-    "read_lock",
-    "record",
-    "write_lock",
-]
-
 _GROUP = "uoarm.bridges"
 _CORE = "uoarm"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")

@@ -14,16 +14,6 @@ from attrs import define, field, frozen
 
 from uoarm._meaning._units import Conversion, UnitError, conversion
 
-__all__ = [
-    "INHERITED",
-    "SCALED",
-    "MeaningDifference",
-    "Meanings",
-    "judge",
-    "name_of_type",
-    "write_places",
-]
-
 _PLAIN = ("Byte", "Char", "Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8",
           "UInt16", "UInt32", "UInt64")  # fmt: skip
 # Each with where it says so.

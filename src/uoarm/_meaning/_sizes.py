@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 
 from attrs import define, field
 
-__all__ = ["JSON_LIMIT", "OCTETS_LIMIT", "Sizes", "sizes_of"]
-
 JSON_LIMIT, OCTETS_LIMIT = "x-max-json", "x-max-octets"
 _MOST_DEPTH = 32
 _MOST_PARTS = 20_000

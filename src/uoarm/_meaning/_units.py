@@ -19,8 +19,6 @@ from attrs import frozen
 
 from uoarm._origin import install_command
 
-__all__ = ["Conversion", "UnitError", "conversion", "missing_for_units", "unit_mistake"]
-
 _MOST_CHARACTERS = 60
 _MOST_POWER = 12
 _MOST_KNOWN = 10_000

@@ -34,8 +34,6 @@ from uoarm.model import (
     Service,
 )
 
-__all__ = ["add_candidates", "carry_candidates", "keep_candidates", "without_candidates"]
-
 _MOST_CANDIDATES = 32
 _MOST_PASSED = 20
 _NOTHING_SEEN = ("discovery", "no bridge sees a component of that kind, role and name")

@@ -15,16 +15,6 @@ from uoarm.bridge import Bridge, Description
 from uoarm.errors import UoarmError
 from uoarm.model import Component, Endpoint, Meaning, MessageStructure, Reason
 
-__all__ = [
-    "EdgeCheck",
-    "Hold",
-    "Judgement",
-    "StructureCache",
-    "StructureCatalogue",
-    "Structures",
-    "Unavailable",
-]
-
 
 @frozen
 class Unavailable:

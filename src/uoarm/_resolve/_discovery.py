@@ -37,14 +37,6 @@ from uoarm.model import (
     message_octets,
 )
 
-__all__ = [
-    "Discovery",
-    "DiscoveryRounds",
-    "UndescribedComponents",
-    "check_availability",
-    "with_rates",
-]
-
 _REST = 4.0  # times what an answer, a round, or the question for one component took
 _EVERY_SECONDS = 2.0
 # Frameworks learn of each other after their start, ROS 2 within a second or two.

@@ -21,8 +21,6 @@ from uoarm.model import (
     Role,
 )
 
-__all__ = ["DiscoveredPort", "candidate_name", "offers", "references"]
-
 _LONGEST_NAME = 256
 
 

@@ -35,8 +35,6 @@ from uoarm.model import (
     ValidationMode,
 )
 
-__all__ = ["Adapted", "EdgeChecks", "Proofs", "command_mistakes", "lifetime_warnings"]
-
 T = TypeVar("T")
 
 _PAIR_SECONDS = 0.5

@@ -28,8 +28,6 @@ from uoarm.model import (
     format_rejections,
 )
 
-__all__ = ["NoPlanError", "Resolver", "find_replacement", "reachable_components"]
-
 Resolve = Callable[[str, frozenset[str]], Plan]
 """Resolves a function without the components of these names, or raises ResolutionError."""
 

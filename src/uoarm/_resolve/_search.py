@@ -19,8 +19,6 @@ from uoarm._resolve._proofs import EdgeChecks, command_mistakes, lifetime_warnin
 from uoarm.errors import ResolutionError
 from uoarm.model import Component, Edge, Function, Input, Plan, Reason, Rejection, Step
 
-__all__ = ["Search"]
-
 _RECORDED = "x-recorded"  # marks structures of the bridge `recording`
 _CHECK_SECONDS = 30.0
 

@@ -11,8 +11,6 @@ import asyncio
 from collections.abc import Awaitable
 from typing import TypeVar
 
-__all__ = ["event_by", "result_within"]
-
 T = TypeVar("T")
 
 

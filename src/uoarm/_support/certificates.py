@@ -30,20 +30,6 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from uoarm._support.files import write_whole
 from uoarm.errors import UsageError
 
-__all__ = [
-    "MANAGER",
-    "Authority",
-    "CertificateFacts",
-    "begun",
-    "common_name",
-    "key_usage",
-    "leaf",
-    "make",
-    "new_key",
-    "read",
-    "secret_pem",
-]
-
 MANAGER = "manager"
 """The name of the manager's certificate."""
 _AUTHORITY = "ca"

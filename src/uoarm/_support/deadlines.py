@@ -25,8 +25,6 @@ from uoarm._raised import contained
 from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
-__all__ = ["BoundedStep", "StepUnderWay", "begin", "left", "run"]
-
 T = TypeVar("T")
 
 _log = logging.getLogger("uoarm")

@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["UnreadableFileError", "read_text", "stamp_of", "write_whole", "written_beside"]
-
 
 class UnreadableFileError(ValueError):
     """A file cannot be read as text.

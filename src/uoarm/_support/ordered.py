@@ -7,8 +7,6 @@ from typing import TypeVar
 
 from rpds import HashTrieMap
 
-__all__ = ["OrderedMap", "keep_newest"]
-
 Key = TypeVar("Key")
 Value = TypeVar("Value")
 

@@ -23,16 +23,6 @@ from contextlib import contextmanager
 
 from uoarm.errors import UsageError
 
-__all__ = [
-    "KEEPING",
-    "fit_switch_interval",
-    "give_memory_back",
-    "keep_memory",
-    "set_short_switch_interval",
-    "short_switch_interval",
-    "switch_interval_seconds",
-]
-
 _VARIABLE = "UOARM_SWITCH_INTERVAL"
 _USUAL = 0.5
 _LEAST, _MOST = 0.01, 1000.0

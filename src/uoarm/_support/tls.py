@@ -14,8 +14,6 @@ from typing import TypeAlias
 
 from uoarm.errors import ConfigurationError
 
-__all__ = ["client_context", "server_context", "show_certificate"]
-
 _File: TypeAlias = "str | PathLike[str]"
 
 

@@ -18,8 +18,6 @@ from uoarm._raised import contained
 from uoarm._support.process_tuning import fit_switch_interval
 from uoarm.errors import UoarmError
 
-__all__ = ["Done", "Job", "Lanes", "Timer", "WorkerPool", "WorkerPoolClosedError"]
-
 T = TypeVar("T")
 Done: TypeAlias = Callable[[Any, Exception | None], object]
 """Takes what a call returned, or None and what it raised, contained where it is no Exception."""

@@ -18,8 +18,6 @@ from uoarm._types._shape import (
     notes_of,
 )
 
-__all__ = ["write_python"]
-
 _HEAD = '''"""The messages of a robot's functions; made by `uoarm types --python`, not to be edited.
 
 An array of numbers may come as a numeric buffer, and `Octets` as any buffer of octets.

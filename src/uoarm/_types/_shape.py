@@ -12,25 +12,6 @@ from attrs import field, frozen
 
 from uoarm._lock import Lock
 
-__all__ = [
-    "Array",
-    "FunctionTypes",
-    "Literals",
-    "Plain",
-    "RecordReference",
-    "RecordShape",
-    "RobotTypes",
-    "Root",
-    "Shape",
-    "Shaper",
-    "Table",
-    "Union",
-    "UniqueNames",
-    "notes_of",
-    "read_functions",
-    "write_document",
-]
-
 _MOST_DEPTH = 24
 _MOST_NODES = 5_000
 _MOST_LITERALS = 200

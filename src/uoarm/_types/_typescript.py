@@ -18,8 +18,6 @@ from uoarm._types._shape import (
     notes_of,
 )
 
-__all__ = ["write_typescript"]
-
 _HEAD = """/** Messages of a robot; made by `uoarm types --typescript`, not to be edited. */
 
 import type { RequestOptions, Robot, Stream } from "./uoarm.js";

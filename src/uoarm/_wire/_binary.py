@@ -16,15 +16,6 @@ import orjson
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, Message
 
-__all__ = [
-    "decoding_octets",
-    "join_list",
-    "join_map",
-    "read_binary",
-    "scan_cbor",
-    "write_binary",
-]
-
 Octets: TypeAlias = "bytes | bytearray"
 # Runs of items without anything behind their heads but an argument of one size, by group: no
 # argument, 1, 2, 4 and 8 octets. Long lists of numbers are counted at the speed of C.

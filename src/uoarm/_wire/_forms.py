@@ -23,18 +23,6 @@ from uoarm._wire._text import make_reader, read_text, text_schema, write_text, w
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, ControlMessage, Message, Op, Schema, message_octets
 
-__all__ = [
-    "ASKED",
-    "BINARY_FORM",
-    "FORMS",
-    "TEXT_FORM",
-    "Form",
-    "check_asked",
-    "protocol_schema",
-    "salvage_id",
-    "write_or_error",
-]
-
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
 

@@ -22,17 +22,6 @@ from pybase64 import b64decode, b64encode
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, Message, Schema, count_names, read_json, scan_json
 
-__all__ = [
-    "SAFE_INTEGER",
-    "dump_parts",
-    "is_octets",
-    "make_reader",
-    "read_text",
-    "text_schema",
-    "write_text",
-    "write_text_parts",
-]
-
 # No JSON text holds this character as it is: in a string it is written as an escape.
 _GAP = b"\0"
 _PLACE = orjson.Fragment(b'"' + _GAP + b'"')

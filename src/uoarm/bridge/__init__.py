@@ -6,7 +6,7 @@ from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import foreign, text_of
 from uoarm.bridge._border import Delivery, reading_endpoint
-from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
+from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._channel import Channel, Outcomes, ReceiveQueue, Sink, Source
 from uoarm.bridge._health import (
     ChannelHealth,
@@ -38,6 +38,7 @@ from uoarm.bridge._steps import (
     Capabilities,
     Description,
     Discovered,
+    Handler,
     HealthEvent,
     ServiceStructures,
 )

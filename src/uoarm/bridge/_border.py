@@ -13,8 +13,6 @@ from uoarm._support.deadlines import BoundedStep
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Deliver, Endpoint, Message
 
-__all__ = ["UNSAID", "Delivery", "Gate", "reading_endpoint", "translated"]
-
 UNSAID = "it cannot be read"
 """Why a message cannot be read of which a bridge does not say why."""
 _TURN_SECONDS = 0.05

@@ -40,8 +40,6 @@ from uoarm.model import (
     StopOutcome,
 )
 
-__all__ = ["CONTRACT_VERSION", "Bridge", "Handler"]
-
 CONTRACT_VERSION = 2
 
 T = TypeVar("T")

@@ -19,8 +19,6 @@ from uoarm.bridge._watchdog import Watchdog
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import CommandStatus, Endpoint, Message, QueuePolicy
 
-__all__ = ["Channel", "Outcomes", "ReceiveQueue", "Sink", "Source"]
-
 Outcomes = Callable[[int, int, int, str], None]
 """Takes how many messages a component took, on how many it raised, on how many it failed that
 were wrong themselves, and the text of the last failure."""

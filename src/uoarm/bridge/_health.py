@@ -20,8 +20,6 @@ from typing_extensions import ParamSpec
 
 from uoarm.model import Health
 
-__all__ = ["ChannelHealth", "ChannelMonitor", "ChannelReport", "Disconnection", "HealthReason"]
-
 P = ParamSpec("P")
 _ENOUGH = 0.5  # of the rate that is expected
 _FEWEST = 4  # messages that are expected in the time over which a rate is judged

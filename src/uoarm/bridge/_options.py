@@ -29,17 +29,6 @@ from uoarm.model import Endpoint, Options, Schema
 if TYPE_CHECKING:
     import ssl
 
-__all__ = [
-    "BridgeOptions",
-    "DeclaredOptions",
-    "EndpointOptions",
-    "PeerOptions",
-    "TlsOptions",
-    "address_check",
-    "option",
-    "options_table",
-]
-
 _OPTION = "uoarm option"
 T = TypeVar("T")
 

@@ -31,16 +31,6 @@ from uoarm.bridge._steps import Description
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Options, Schema
 
-__all__ = [
-    "MOST_HOPS",
-    "BridgeHooks",
-    "BridgeType",
-    "Registry",
-    "asking",
-    "asking_managers",
-    "refuse_loop",
-]
-
 _PATH = "x-uoarm-path"
 Address: TypeAlias = tuple[str, ...]
 _CLOSED: Schema = {"type": "object", "additionalProperties": False}

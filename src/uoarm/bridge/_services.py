@@ -16,8 +16,6 @@ from uoarm.bridge._health import ChannelHealth, ChannelMonitor
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
 
-__all__ = ["CallUnderWay", "CallsUnderWay", "ServedRequests"]
-
 _MOST_EARLY = 1000
 
 

@@ -16,17 +16,6 @@ from uoarm.bridge._border import Delivery
 from uoarm.bridge._channel import Channel, Sink, Source
 from uoarm.model import Endpoint, Health, Message, MessageStructure, StopOutcome
 
-__all__ = [
-    "ANYTHING",
-    "BridgeSteps",
-    "Capabilities",
-    "Description",
-    "Discovered",
-    "Handler",
-    "HealthEvent",
-    "ServiceStructures",
-]
-
 _ANYTHING = MessageStructure(schema=True)
 Handler = Callable[[Message], Message]
 

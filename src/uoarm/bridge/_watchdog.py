@@ -23,8 +23,6 @@ from uoarm._raised import LimitedLog, foreign, text_of
 from uoarm.errors import CommandRefusedError
 from uoarm.model import CommandPhase, CommandPolicy, CommandStatus, FieldLimit, Message
 
-__all__ = ["CommandState", "Refusal", "Watchdog", "boot_seconds"]
-
 _STOP_BACKOFF = Backoff(first=0.02, most=0.5)
 
 

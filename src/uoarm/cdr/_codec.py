@@ -20,8 +20,6 @@ from uoarm.cdr._writing import HEADERS, Part, writer
 from uoarm.errors import MessageError
 from uoarm.model import Budget, Message, MessageStructure
 
-__all__ = ["Codec", "deserialiser", "forget_octets", "note_octets", "octets_of", "serialiser"]
-
 _UNFIT = (
     UnfitValue, struct.error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError,
 )  # fmt: skip

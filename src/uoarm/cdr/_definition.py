@@ -15,8 +15,6 @@ from uoarm.cdr._layout import BASIC, basic_type, number_schema
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
 
-__all__ = ["RosDefinition", "definition_of", "structure_of_definition"]
-
 _RULE = "=" * 80
 _SECTION = re.compile(r"^=+[ \t]*\n(?:MSG|IDL):[ \t]*(\S+)[ \t]*$", re.MULTILINE)
 _ROS_TYPE = re.compile(r"([a-zA-Z][a-zA-Z0-9_]*)/(?:msg/)?([A-Z][A-Za-z0-9_]*)")

@@ -14,34 +14,6 @@ from attrs import frozen
 
 from uoarm.errors import MessageError
 
-__all__ = [
-    "BASIC",
-    "CORBA",
-    "DDS",
-    "FLOAT32_MAX",
-    "NATIVE",
-    "ROS_1",
-    "SIZES",
-    "SWITCH",
-    "ArrayLayout",
-    "BooleanLayout",
-    "ByteOrder",
-    "CharacterLayout",
-    "Encoding",
-    "EnumerationLayout",
-    "Layout",
-    "NumberLayout",
-    "RecordLayout",
-    "TextLayout",
-    "UnionLayout",
-    "UnionMember",
-    "basic_type",
-    "layout_of",
-    "least_size",
-    "number_schema",
-    "ros_unit",
-]
-
 BASIC = {
     "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
     "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",

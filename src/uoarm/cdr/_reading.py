@@ -38,8 +38,6 @@ from uoarm.cdr._values import (
 )
 from uoarm.model import Budget, Message
 
-__all__ = ["reader"]
-
 _MAX_BLOCKS = 8  # CPython compiles no more than twenty within one another
 _WIDEST = 8
 

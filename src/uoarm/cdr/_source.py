@@ -15,8 +15,6 @@ from attrs import frozen
 from uoarm.cdr._layout import Encoding
 from uoarm.cdr._values import UnfitValue
 
-__all__ = ["WHOLE", "Index", "Path", "PlaceCheck", "SourceText", "explain"]
-
 WHOLE = 8
 """What is known of the position where a message begins: it is a multiple of the greatest number."""
 

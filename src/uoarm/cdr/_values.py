@@ -29,23 +29,6 @@ from uoarm.cdr._layout import (
 )
 from uoarm.model import Message
 
-__all__ = [
-    "UnfitValue",
-    "array_reader",
-    "array_writer",
-    "boolean_of",
-    "checker",
-    "counter",
-    "is_block",
-    "label_check",
-    "member_check",
-    "shown",
-    "text_reader",
-    "text_writer",
-    "wide_character_of",
-    "write_wide_character",
-]
-
 _SHOWN = 60
 _LAST_OF_PLANE = 0xFFFF
 _LAST_NARROW = 0xFF

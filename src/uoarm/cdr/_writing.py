@@ -40,8 +40,6 @@ from uoarm.cdr._values import (
 )
 from uoarm.model import Message
 
-__all__ = ["HEADERS", "Part", "writer"]
-
 Part: TypeAlias = "bytes | bytearray | memoryview"
 
 HEADERS: dict[ByteOrder, bytes] = {"<": b"\0\1\0\0", ">": b"\0\0\0\0"}

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from uoarm.server import ServerOptions
 
-__all__ = ["SERVICE", "Announcement"]
-
 SERVICE = "_uoarm._tcp.local."
 _HOST_LETTERS = 40  # of the 63 octets of a name
 _END_SECONDS = 5.0

@@ -34,14 +34,6 @@ from uoarm.config import suggest as suggestion_for
 from uoarm.errors import UsageError
 from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json, write_json
 
-__all__ = [
-    "discover",
-    "looking",
-    "rows",
-    "suggest",
-    "with_every_plugin",
-]
-
 _OWN_HEALTH = "status"  # a plugin whose component is the manager, not one of the robot
 
 _timeout_option = click.option(

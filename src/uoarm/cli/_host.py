@@ -18,8 +18,6 @@ from uoarm.config import load
 from uoarm.errors import CommandLineError
 from uoarm.model import Component, Endpoint, place_problem
 
-__all__ = ["host"]
-
 _END_SECONDS = 6
 _GLANCE_SECONDS = 0.2
 

@@ -44,8 +44,6 @@ from uoarm.config import load
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan, to_json, write_json
 
-__all__ = ["FORMS", "lock", "lock_of", "open_unlocked", "types"]
-
 _RULES: Mapping[LockOutcome, tuple[str, str, str]] = {
     LockOutcome.BREAKS: ("breaks", "error", "Not every message fits any more."),
     LockOutcome.FITS_WITH_MAP: ("fits-with-a-map", "error", "Messages fit with a map only."),

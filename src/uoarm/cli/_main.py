@@ -37,8 +37,6 @@ from uoarm.errors import CommandLineError, PluginError, UoarmError, UsageError
 if TYPE_CHECKING:
     from uoarm.plugins import Command
 
-__all__ = ["COMMANDS", "PluginGroup", "main"]
-
 _GROUP = "uoarm.commands"
 _HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # which click 8.1 has not
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})

@@ -21,17 +21,6 @@ import click
 
 from uoarm._log_lines import JsonFormatter, StderrHandler, TextFormatter
 
-__all__ = [
-    "add_log_options",
-    "at_least",
-    "echo",
-    "keep_apart",
-    "leaving_out",
-    "logging_to_stderr",
-    "output",
-    "saying_what_is_waited_for",
-]
-
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _STDOUT, _STDERR = 1, 2
 _SILENT_SECONDS = 3.0

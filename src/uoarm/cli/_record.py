@@ -37,8 +37,6 @@ from uoarm.record import (
     check_recording,
 )
 
-__all__ = ["check_against", "record"]
-
 _PROGRESS_SECONDS = 1.0
 _MEBI = 1024 * 1024
 

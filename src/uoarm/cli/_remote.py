@@ -25,8 +25,6 @@ from uoarm.model import write_json
 if TYPE_CHECKING:
     import ssl
 
-__all__ = ["Remote", "apply", "approve", "asked", "history", "remote_options", "stop"]
-
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 

@@ -48,8 +48,6 @@ from uoarm.model import (
     write_json,
 )
 
-__all__ = ["call", "offer", "request"]
-
 _GLANCE_SECONDS = 0.25
 _REQUEST_SECONDS = 60.0
 # What the one connection does then says why, or its end does.

@@ -39,17 +39,6 @@ from uoarm.errors import UoarmError
 if TYPE_CHECKING:
     from uoarm.server import Server, ServerOptions
 
-__all__ = [
-    "cannot_listen",
-    "exporting",
-    "listening_options",
-    "say",
-    "serve",
-    "stop_file_of",
-    "stopping",
-    "token",
-]
-
 _log = logging.getLogger("uoarm")
 _USED = 5
 _LOOK_SECONDS = 0.5

@@ -23,17 +23,6 @@ from attrs import frozen
 
 from uoarm.errors import UoarmError, UsageError
 
-__all__ = [
-    "Finding",
-    "Level",
-    "ServiceUser",
-    "Unit",
-    "examine",
-    "find_unit",
-    "options_of_serve",
-    "read_unit",
-]
-
 _UNREADABLE = "UOA-101"
 _FOLDERS = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
 _SETTING = re.compile(r"\s*([A-Za-z]+)\s*=\s*(.*)")

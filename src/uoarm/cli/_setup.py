@@ -26,8 +26,6 @@ from uoarm.cli._shared import (
     reporting,
 )
 
-__all__ = ["certificates", "env", "new_bridge"]
-
 _NONE = "there are no environments: make one with uoarm env create NAME --plugin PLUGIN"
 
 

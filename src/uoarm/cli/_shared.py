@@ -26,33 +26,6 @@ if TYPE_CHECKING:
     from uoarm import RobotManager
     from uoarm.model import Function, Message
 
-__all__ = [
-    "CONFIGURATION_ENDINGS",
-    "STANDARD",
-    "DefaultConfiguration",
-    "FunctionArgument",
-    "Seconds",
-    "every_option",
-    "exit_code_of",
-    "fail",
-    "fitted",
-    "function_argument",
-    "importing",
-    "json_option",
-    "needing",
-    "open_robot",
-    "plain",
-    "print_error",
-    "print_error_code",
-    "print_failure",
-    "print_json",
-    "print_warning",
-    "reporting",
-    "takes_configuration",
-    "terminable",
-    "terminal_width",
-]
-
 F = TypeVar("F", bound=Callable[..., Any])
 REFUSED, CONFIGURATION, BRIDGE, INTERRUPTED = 1, 3, 4, 130
 JSON = "uoarm.json"  # of the context: whether `--json` is among the words

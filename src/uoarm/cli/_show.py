@@ -42,8 +42,6 @@ from uoarm.errors import BridgeError, UsageError
 from uoarm.model import to_json
 from uoarm.schema.__main__ import check_files
 
-__all__ = ["bridges", "check", "doctor", "explain", "list_functions", "resolve", "schema"]
-
 _LARGE = 1_000_000
 _SECONDS = 60.0
 

@@ -35,8 +35,6 @@ from uoarm.cli._shared import (
 from uoarm.errors import PluginError
 from uoarm.model import BridgeFindings, FunctionStatus, format_status, to_json, write_json
 
-__all__ = ["show_frameworks", "show_live_status", "status"]
-
 
 def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool) -> None:
     """Print the status map of a server, again and again with each event where `watch` says so.

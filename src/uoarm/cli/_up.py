@@ -27,8 +27,6 @@ from uoarm.config import add_functions, load
 from uoarm.errors import ConnectionClosedError, UoarmError
 from uoarm.model import BridgeFindings, Robot, to_json, write_json
 
-__all__ = ["up"]
-
 _END_SECONDS = 5.0
 _DISCOVERY_SECONDS = 20.0
 _GRACE_SECONDS = 1.0

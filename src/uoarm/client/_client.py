@@ -22,7 +22,6 @@ from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.bridge import boot_seconds
 from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._questions import (
-    ServerError,
     ServerQuestions,
     ThreadAnswer,
     error_of,
@@ -31,8 +30,6 @@ from uoarm.client._questions import (
 from uoarm.client._socket import ClientSocket
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, find_trouble
-
-__all__ = ["RemoteRobot", "ServerAddress", "ServerError", "connect"]
 
 _HELD = 1024
 _DIAGNOSIS_SECONDS = 1.0

@@ -27,8 +27,6 @@ from uoarm.client._socket import ClientSocket, Received
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UsageError
 from uoarm.model import Budget, BudgetUse
 
-__all__ = ["LARGEST", "Link", "Open", "Take", "trust_fingerprint"]
-
 # A server is believed more than a client is, but what it sends is bounded, too.
 LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=32)
 # What reading a message raises that is none, or lacks what the protocol says it has.

@@ -11,8 +11,6 @@ from typing import Any
 from uoarm import errors
 from uoarm._arguments import arguments
 
-__all__ = ["ServerError", "ServerQuestions", "ThreadAnswer", "error_of", "merged_status"]
-
 
 class ServerQuestions(ABC):
     """Plans, configuration, emergency stop, approvals and recordings of a robot elsewhere."""

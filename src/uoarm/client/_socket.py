@@ -30,8 +30,6 @@ try:
 except ImportError:  # it was built without a compiler
     from websockets.utils import apply_mask
 
-__all__ = ["ClientSocket", "Received"]
-
 Received: TypeAlias = "str | bytes | bytearray"
 Take: TypeAlias = Callable[[Received], object]
 _RESET = struct.pack("ii", 1, 0)  # SO_LINGER: on, for no time

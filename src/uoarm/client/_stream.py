@@ -19,8 +19,6 @@ from uoarm.bridge import boot_seconds
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import Message
 
-__all__ = ["RemoteStream"]
-
 Ask = Callable[..., Awaitable[Any]]
 
 

@@ -40,8 +40,6 @@ from uoarm.model import (
     StopMessage,
 )
 
-__all__ = ["bridge_options", "build", "folder_of"]
-
 
 def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> Robot:
     """Return the robot that a checked configuration describes."""

@@ -8,8 +8,6 @@ from attrs import evolve, frozen
 
 from uoarm.model import BridgeSpec, Component, Listening, Offer, Robot
 
-__all__ = ["ConfigurationDifference", "compare", "fed_by", "with_code", "without_code"]
-
 _CODE = "code"
 _PLUGIN = "python"
 

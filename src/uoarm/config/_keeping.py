@@ -17,8 +17,6 @@ from uoarm._support.yaml import Document, Path
 from uoarm.errors import ConfigurationError, UsageError
 from uoarm.model import Robot
 
-__all__ = ["KeptFile", "is_same", "rewrite"]
-
 _MOST_OCTETS = 10_000_000
 _COMMENT = re.compile(r"(?:^|\s)(#.*)$")
 

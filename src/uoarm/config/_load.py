@@ -23,8 +23,6 @@ from uoarm.config._shape import ShapeChecker
 from uoarm.errors import ConfigurationError
 from uoarm.model import Robot
 
-__all__ = ["Report", "inspect", "is_blank", "load", "loads", "merge"]
-
 Types: TypeAlias = Mapping[str, BridgeType]
 
 _SHOWN = 50

@@ -18,8 +18,6 @@ from attrs import frozen
 from uoarm._support.yaml import Path
 from uoarm.config._parts import ComponentPart, PortPart
 
-__all__ = ["Needs", "SharedTopic", "avoidable_cycles", "feedback_loops", "unavoidable_cycles"]
-
 _MOST_EDGES = 200_000
 _MOST_LOOPS = 20
 

@@ -29,8 +29,6 @@ from uoarm.config._parts import (
 )
 from uoarm.record import RecordOptions
 
-__all__ = ["MeaningChecker"]
-
 _CYCLE_SHOWN = 100
 
 

@@ -14,25 +14,6 @@ from attrs import frozen
 from uoarm._support.yaml import Document, Path, Problem, clip, write_path
 from uoarm.model import place_problem
 
-__all__ = [
-    "ComponentPart",
-    "OfferPart",
-    "PortPart",
-    "applications",
-    "bridge_names",
-    "components",
-    "exports",
-    "function_names",
-    "host_mistakes",
-    "listening",
-    "need_mistakes",
-    "needs",
-    "offers",
-    "problem_at",
-    "recorded",
-    "unknown_frameworks",
-]
-
 _STREAMS = ("input", "inputs", "output", "outputs")
 _KEYS = {"name", "bridge", "priority", "parameters", "service", *_STREAMS}
 

@@ -27,8 +27,6 @@ from uoarm.config._shape import OF_A_HOST, ShapeChecker, assignables, installati
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Role, Schema
 
-__all__ = ["PluginChecker"]
-
 _PARAMETER_SECONDS = 10.0
 _STRUCTURE = "x-uoarm-structure"
 

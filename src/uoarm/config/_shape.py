@@ -38,19 +38,6 @@ from uoarm.bridge import BridgeType
 from uoarm.errors import ConfigurationError
 from uoarm.model import BridgeSpec, Options, Robot
 
-__all__ = [
-    "ASSIGN",
-    "OF_A_HOST",
-    "Assignable",
-    "ShapeChecker",
-    "assign",
-    "assignables",
-    "completed_schema",
-    "installation",
-    "published_schema",
-    "structure_schema",
-]
-
 if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
     from jsonschema.protocols import Validator

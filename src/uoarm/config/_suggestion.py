@@ -23,8 +23,6 @@ from uoarm.model import (
 )
 from uoarm.schema import CheckBudget, SchemaError, check
 
-__all__ = ["add_functions", "new_name", "suggest"]
-
 _MOST_COMPONENTS = 500
 _SHOWN = 5
 _PAIR_SECONDS = 0.5

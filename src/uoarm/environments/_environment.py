@@ -16,22 +16,6 @@ from attrs import field, frozen
 from uoarm._version import __version__
 from uoarm.errors import PluginError
 
-__all__ = [
-    "MARK",
-    "Environment",
-    "EnvironmentFinding",
-    "PluginEnvironmentError",
-    "environment_folder",
-    "environment_python",
-    "examine",
-    "extras_in",
-    "find_interpreter",
-    "installed",
-    "listed",
-    "passed_on",
-    "remove",
-]
-
 MARK = "uoarm-environment.json"
 """A file in every environment that was made to its end; says of what it was made."""
 

@@ -31,8 +31,6 @@ from uoarm.environments._environment import (
     passed_on,
 )
 
-__all__ = ["create", "extras_of", "handed_on", "repack", "requirements", "unknown_extra"]
-
 # Written by what installs a wheel, not part of one.
 _LEFT_OUT = frozenset({"RECORD", "INSTALLER", "REQUESTED", "direct_url.json"})
 _GROUP = "uoarm.bridges"

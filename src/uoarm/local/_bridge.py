@@ -36,8 +36,6 @@ from uoarm.local._modules import Modules
 from uoarm.local._target import Target, address_mistake, find
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 
-__all__ = ["PythonBridge", "PythonOptions", "listed", "uoarm_bridge_types"]
-
 _LISTED = {
     "type": "array",
     "items": {

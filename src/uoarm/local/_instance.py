@@ -16,8 +16,6 @@ from uoarm.local._loop import Coroutines
 from uoarm.local._target import AsyncKind, Emit, Target, TargetPort
 from uoarm.model import Deliver, Endpoint, Message, Options
 
-__all__ = ["Instance", "IteratedSource"]
-
 Finished = Callable[[Exception | None], None]
 Write: TypeAlias = Callable[[Any], Message] | None
 Receivers: TypeAlias = Mapping[str, tuple[tuple[Hashable, Deliver], ...]]

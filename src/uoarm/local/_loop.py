@@ -17,8 +17,6 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 if TYPE_CHECKING:
     import asyncio
 
-__all__ = ["Coroutines", "LoopThread"]
-
 _CLOSE_SECONDS = 1.0
 _log = logging.getLogger("uoarm")
 _Outcome: TypeAlias = tuple[Any, Exception | None]

@@ -30,8 +30,6 @@ from pathlib import PurePath
 from types import ModuleType
 from typing import Any
 
-__all__ = ["Modules", "written_name"]
-
 __path__: list[str] = []  # a package, as the import system sees it: its finder is below
 
 _PREFIX = f"{__name__}."

@@ -26,18 +26,6 @@ from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.local._modules import Modules, written_name
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema
 
-__all__ = [
-    "AsyncKind",
-    "Emit",
-    "Target",
-    "TargetPort",
-    "address_mistake",
-    "build_parameters",
-    "find",
-    "parameter_mistakes",
-    "structure",
-]
-
 
 def parameter_mistakes(
     accepted: Mapping[str, inspect.Parameter],

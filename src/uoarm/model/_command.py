@@ -6,19 +6,6 @@ from enum import Enum
 
 from attrs import field, frozen
 
-__all__ = [
-    "CommandPhase",
-    "CommandPolicy",
-    "CommandStatus",
-    "FieldLimit",
-    "LeaseHolder",
-    "LeasePolicy",
-    "LeaseStatus",
-    "StopMessage",
-    "StopOutcome",
-    "StopReport",
-]
-
 
 @frozen
 class StopMessage:

@@ -11,22 +11,6 @@ from attrs import field, frozen
 from uoarm.model._command import CommandPolicy
 from uoarm.model._message import MessageStructure, Options, QueuePolicy
 
-__all__ = [
-    "Component",
-    "Endpoint",
-    "Expectation",
-    "Function",
-    "Input",
-    "Match",
-    "Meaning",
-    "MeaningLevel",
-    "Need",
-    "Output",
-    "PortRef",
-    "Role",
-    "Service",
-]
-
 _NOTHING: Mapping[str, object] = MappingProxyType({})
 
 

@@ -16,8 +16,6 @@ from uoarm.errors import ControlMessageError
 from uoarm.model._message import Message, Options
 from uoarm.model._wire import Budget, BudgetUse, scan_json
 
-__all__ = ["ControlMessage", "Op", "read_control", "write_control"]
-
 
 class Op(Enum):
     """The operation of a control message, spelt as on the wire."""

@@ -17,18 +17,6 @@ from uoarm._arguments import built_with_arguments
 from uoarm._mistakes import choose
 from uoarm.errors import ConfigurationError
 
-__all__ = [
-    "Deliver",
-    "Message",
-    "MessageStructure",
-    "Options",
-    "OverflowPolicy",
-    "QueuePolicy",
-    "Schema",
-    "ValidationMode",
-    "message_octets",
-]
-
 Message: TypeAlias = Any
 """A value of the JSON data model, plus `bytes`-like octets and numeric buffers (numpy, array)."""
 

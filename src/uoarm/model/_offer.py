@@ -12,19 +12,6 @@ from uoarm.model._component import Endpoint, Meaning
 from uoarm.model._message import MessageStructure, QueuePolicy
 from uoarm.model._wire import to_json
 
-__all__ = [
-    "Availability",
-    "BridgeFindings",
-    "FoundComponent",
-    "FoundPort",
-    "FunctionStatus",
-    "Offer",
-    "OfferState",
-    "OfferStatus",
-    "OfferedPort",
-    "OfferedService",
-]
-
 _STATED = Meaning()
 
 

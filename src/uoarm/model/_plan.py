@@ -10,8 +10,6 @@ from attrs import field, frozen
 from uoarm.model._component import Component
 from uoarm.model._message import MessageStructure
 
-__all__ = ["Edge", "Plan", "Reason", "Rejection", "Step", "format_reason", "format_rejections"]
-
 _MAX_LINES = 200
 _MAX_EXAMPLE = 160
 _MAX_PATHS = 8

@@ -15,21 +15,6 @@ from uoarm.model._component import Component, Function
 from uoarm.model._message import Options
 from uoarm.model._offer import Offer
 
-__all__ = [
-    "BridgeSpec",
-    "ConfigurationChange",
-    "ConnectionEffect",
-    "Effect",
-    "FailoverPolicy",
-    "FailureLimits",
-    "Listening",
-    "LockMode",
-    "RecordSettings",
-    "Robot",
-    "is_loopback",
-    "place_problem",
-]
-
 _PLACE = re.compile(r"(tls|tcp)/(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+):([0-9]{1,5})")
 _LAST_PORT = 65535
 

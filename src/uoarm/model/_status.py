@@ -13,21 +13,6 @@ from attrs import Factory, asdict, field, frozen
 from uoarm.model._command import CommandStatus, FieldLimit, LeaseStatus
 from uoarm.model._offer import OfferStatus
 
-__all__ = [
-    "BridgeStatus",
-    "ChannelStatus",
-    "ComponentStatus",
-    "ConnectionState",
-    "ConnectionStatus",
-    "Health",
-    "MachineStatus",
-    "RouteStatus",
-    "StatusEvent",
-    "StatusMap",
-    "find_trouble",
-    "format_status",
-]
-
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
     "bridges": ("name", "plugin", "health", "process", "assigned", "facts", "cause"),

@@ -24,19 +24,6 @@ from uoarm.errors import ControlMessageError
 from uoarm.model._message import MessageStructure, message_octets
 from uoarm.model._plan import Reason, Rejection
 
-__all__ = [
-    "Budget",
-    "BudgetUse",
-    "count_names",
-    "finite",
-    "from_json",
-    "read_json",
-    "scan_json",
-    "show_value",
-    "to_json",
-    "write_json",
-]
-
 if TYPE_CHECKING:
     from cattrs import Converter
 

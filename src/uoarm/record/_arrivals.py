@@ -30,16 +30,6 @@ from uoarm.model import (
 )
 from uoarm.record._forms import ChannelForm
 
-__all__ = [
-    "Arrivals",
-    "ArrivingTrack",
-    "ReadOctets",
-    "RecordedConnection",
-    "RecordedEvents",
-    "RecordedFunction",
-    "RecordedRobot",
-]
-
 _GATHER_SECONDS = 0.05
 _LARGE_OCTETS = 65_536
 _LOOKS = 16

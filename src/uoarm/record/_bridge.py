@@ -37,8 +37,6 @@ from uoarm.record._playback import (
 from uoarm.record._reading import McapReader, RecordedFile
 from uoarm.record.plugin import PlaybackOptions
 
-__all__ = ["RecordingBridge"]
-
 _NANO = 1_000_000_000
 _JOIN_SECONDS = 1.0
 _EMPTY_SECONDS = 1.0

@@ -32,16 +32,6 @@ from uoarm.record._forms import EVENTS_TOPIC, reading_of
 from uoarm.record._reading import FileChannel, McapReader, RecordedFile, StoredMessage
 from uoarm.record._records import MAGIC
 
-__all__ = [
-    "BagReader",
-    "ChannelCheck",
-    "ConsumerCheck",
-    "FailedMessage",
-    "RecordingCheck",
-    "check_recording",
-    "open_recording",
-]
-
 
 class BagReader:
     """A file `.bag` of ROS 1, or a folder of rosbag2.

@@ -26,16 +26,6 @@ from uoarm.record._forms import ChannelForm
 from uoarm.record._options import Instant
 from uoarm.record._records import HEAD, MAGIC
 
-__all__ = [
-    "KeptMessage",
-    "McapFile",
-    "Ring",
-    "documents",
-    "event_message",
-    "gap_message",
-    "require_mcap",
-]
-
 if TYPE_CHECKING:
     from mcap.records import McapRecord
 

@@ -20,17 +20,6 @@ from uoarm.errors import BridgeError, ControlMessageError, FailureReason, Messag
 from uoarm.model import Budget, BudgetUse, Message, MessageStructure, read_json, write_json
 from uoarm.record._reading import FileChannel
 
-__all__ = [
-    "EVENTS",
-    "EVENTS_TOPIC",
-    "RECORDED",
-    "ChannelForm",
-    "ChannelReading",
-    "form_of",
-    "reading_of",
-    "ros_events",
-]
-
 _ROS_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9_]*")
 _WORD = re.compile(r"[A-Za-z0-9]+")
 _LARGE = ("uint64", "int64")

@@ -13,16 +13,6 @@ from attrs.validators import ge, gt, in_, optional
 from uoarm.errors import UsageError
 from uoarm.model import OverflowPolicy, QueuePolicy
 
-__all__ = [
-    "Instant",
-    "RecordOptions",
-    "RecordedChannel",
-    "RecordingSchedule",
-    "RecordingStatus",
-    "RecordingStep",
-    "read_split",
-]
-
 COMPRESSIONS = ("zstd", "lz4", "none")
 _UNITS = {"": 1, "k": 1000, "m": 1000**2, "g": 1000**3, "ki": 1024, "mi": 1024**2, "gi": 1024**3}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([kmg]i?)?b?", re.IGNORECASE)

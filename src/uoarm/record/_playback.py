@@ -15,17 +15,6 @@ from uoarm.bridge import Bridge, ServiceStructures
 from uoarm.errors import UsageError
 from uoarm.model import Endpoint, MessageStructure, Role
 
-__all__ = [
-    "CONTROL",
-    "CONTROL_REPLY",
-    "CONTROL_REQUEST",
-    "Playback",
-    "PlaybackStatus",
-    "PlaybackTurn",
-    "Timeline",
-    "ask_playback",
-]
-
 CONTROL = "@control"
 """The address of the service that pauses, steps and seeks."""
 

@@ -34,8 +34,6 @@ from uoarm.record._records import (
     unpacked,
 )
 
-__all__ = ["FileChannel", "McapReader", "RecordedFile", "StoredMessage"]
-
 _CHUNK = struct.Struct("<QQQI")
 _FOOTER_OCTETS = HEAD.size + 20 + len(MAGIC)
 _NO_TIME = 2**64

@@ -45,8 +45,6 @@ from uoarm.record._options import (
     RecordOptions,
 )
 
-__all__ = ["Recording"]
-
 _log = logging.getLogger("uoarm")
 _CLOSE_SECONDS = 60.0
 _GLANCE_SECONDS = 1.0

@@ -6,19 +6,6 @@ import struct
 from collections.abc import Iterator
 from typing import BinaryIO
 
-__all__ = [
-    "HEAD",
-    "MAGIC",
-    "MESSAGE",
-    "MESSAGE_RECORD",
-    "MOST_RECORD",
-    "DamageError",
-    "RecordContent",
-    "inner_records",
-    "read_content",
-    "unpacked",
-]
-
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")

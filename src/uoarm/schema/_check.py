@@ -14,8 +14,6 @@ from attrs import evolve
 from uoarm.schema._errors import BudgetError, Meter, OutOfScopeError
 from uoarm.schema._verdict import CheckBudget, Verdict
 
-__all__ = ["check"]
-
 Schema: TypeAlias = Mapping[str, Any] | bool
 _STANDARD = CheckBudget()
 

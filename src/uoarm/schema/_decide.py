@@ -41,8 +41,6 @@ from uoarm.schema.solve import (
     named_rules,
 )
 
-__all__ = ["decide", "explain", "failures", "find_losses"]
-
 _WRITTEN = 20_000
 """Parts and characters up to which a counterexample is written out unasked."""
 

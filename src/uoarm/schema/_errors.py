@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeAlias
 
-__all__ = ["BudgetError", "Meter", "OutOfScopeError", "Pointer", "SchemaError", "write_pointer"]
-
 Pointer: TypeAlias = "tuple[Pointer, str | int] | None"
 """A place in a schema, the place around it and a step; written as text only when it is shown."""
 

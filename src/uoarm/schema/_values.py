@@ -12,21 +12,6 @@ from typing import Any, TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError, SchemaError
 
-__all__ = [
-    "SCALARS",
-    "Key",
-    "Keys",
-    "Repeated",
-    "build",
-    "describe",
-    "exact",
-    "is_composite",
-    "is_small",
-    "key_of",
-    "kind_of",
-    "runs_of",
-]
-
 _SHOWN_PARTS = 200
 _MOST_SHOWN = 60
 _SHOWN_ITEMS = 3

@@ -8,8 +8,6 @@ from attrs import asdict, field, frozen
 
 from uoarm.schema._values import build, describe
 
-__all__ = ["CheckBudget", "Loss", "MismatchReason", "Verdict"]
-
 
 @frozen
 class CheckBudget:

@@ -9,17 +9,6 @@ from typing import TypeAlias
 from uoarm import errors
 from uoarm.server.access import DeniedError
 
-__all__ = [
-    "BusyError",
-    "LimitError",
-    "UnknownError",
-    "code_of",
-    "coded_text",
-    "error_code_of",
-    "error_text",
-    "without_frames",
-]
-
 _log = logging.getLogger("uoarm.server")
 
 

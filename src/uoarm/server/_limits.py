@@ -7,8 +7,6 @@ from attrs.validators import ge, gt
 
 from uoarm.model import Budget
 
-__all__ = ["Limits"]
-
 
 @frozen
 class Limits:

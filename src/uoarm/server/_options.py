@@ -18,8 +18,6 @@ from uoarm.server.http import own_certificate, state_folder
 if TYPE_CHECKING:
     import ssl
 
-__all__ = ["ServerOptions"]
-
 
 def _absolute(path: Path | None) -> Path | None:
     """Return a path that stays the same where the program changes its folder: it is read again."""

@@ -33,8 +33,6 @@ from uoarm.server._server import Server
 from uoarm.server.front_end import FrontEnd
 from uoarm.server.http import NoRoomError
 
-__all__ = ["ServiceManager", "run", "serve_in_thread"]
-
 _SOCKET, _MICROSECONDS, _PROCESS = "NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"
 
 

@@ -51,8 +51,6 @@ from uoarm.server.session import (
 )
 from uoarm.server.streams import FeedRegistry, Shares
 
-__all__ = ["Server"]
-
 _log = logging.getLogger("uoarm.server")
 _GLANCE_SECONDS = 0.5
 _CROWD = 8

@@ -27,20 +27,6 @@ from uoarm.model import Message, MessageStructure, Role, Schema
 from uoarm.testing._faults import Hang
 from uoarm.testing._waiting import Collector
 
-__all__ = [
-    "CLEARED",
-    "PAIRS",
-    "ROWS",
-    "Emitter",
-    "Loop",
-    "MemoryService",
-    "NativeCodec",
-    "NativeDialect",
-    "Script",
-    "Taker",
-    "codec",
-]
-
 _ABSENT = "<absent>"
 _MAX_DEPTH = 64
 _SCALARS: Mapping[str, tuple[type, ...]] = {

@@ -23,8 +23,6 @@ from uoarm._arguments import arguments
 from uoarm.bridge import Bridge, Channel
 from uoarm.testing._waiting import patience
 
-__all__ = ["Hang", "Proxy", "hanging", "lying", "raising"]
-
 
 class Hang:
     """A step that hangs until it is released.

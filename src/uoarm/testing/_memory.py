@@ -36,8 +36,6 @@ from uoarm.testing._components import (
     codec,
 )
 
-__all__ = ["MemoryBridge"]
-
 _Component = TypeVar("_Component", Emitter, Taker, Loop, MemoryService)
 
 

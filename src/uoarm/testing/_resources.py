@@ -15,8 +15,6 @@ from random import SystemRandom
 from uoarm._arguments import arguments
 from uoarm.testing._waiting import patience, wait
 
-__all__ = ["ResourceSnapshot", "free_port", "hold_idle"]
-
 _DESCRIPTORS = ("/proc/self/fd", "/dev/fd")
 _OF_THE_CORE = "uoarm-step"
 _GLANCE_SECONDS = 0.01

@@ -17,20 +17,6 @@ from uoarm._arguments import arguments
 from uoarm.bridge import Bridge, Channel
 from uoarm.model import Message, StatusMap
 
-__all__ = [
-    "Background",
-    "Collector",
-    "ManualClock",
-    "copies",
-    "default_limits",
-    "losses",
-    "patience",
-    "plain",
-    "same",
-    "slowness",
-    "wait",
-]
-
 _IDLE_SECONDS = 60.0
 _SLOWEST = 10.0
 _VARIABLE = "UOARM_TEST_SLOWNESS"

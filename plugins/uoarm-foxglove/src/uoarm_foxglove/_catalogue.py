@@ -19,16 +19,6 @@ from uoarm.server.front_end import AccessRole, Backend, without_secrets
 from uoarm_foxglove._protocol import StructureCodec, codec_of, write
 from uoarm_foxglove._views import view_of
 
-__all__ = [
-    "NOTHING",
-    "ChannelCatalogue",
-    "InputTopic",
-    "OutputChannel",
-    "RobotService",
-    "VisibleListing",
-    "topic_of",
-]
-
 Structures: TypeAlias = Mapping[str, MessageStructure]
 _VIEW = "view"
 _FRESH_SECONDS = 1.0

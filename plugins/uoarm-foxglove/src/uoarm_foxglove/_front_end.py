@@ -57,8 +57,6 @@ from uoarm_foxglove._protocol import (
     write,
 )
 
-__all__ = ["FoxgloveSession", "uoarm_front_ends"]
-
 T = TypeVar("T")
 Fields = Mapping[str, Any]
 _log = logging.getLogger("uoarm.foxglove")

@@ -16,24 +16,6 @@ from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, BudgetUse, Message, MessageStructure
 from uoarm.server.front_end import TEXT_FORM, Read, read_message, read_text
 
-__all__ = [
-    "CDR",
-    "JSON",
-    "ClientFrame",
-    "PublishedFrame",
-    "ServiceRequest",
-    "StatusLevel",
-    "StructureCodec",
-    "codec_of",
-    "list_of",
-    "message_data",
-    "number_of",
-    "read_frame",
-    "service_response",
-    "text_of",
-    "write",
-]
-
 JSON, CDR = "json", "cdr"
 _MESSAGE, _CALL = 1, 2  # of both sides; a server's 2 is the time, which nothing here sends
 _SERVICE_RESPONSE = 3

@@ -20,8 +20,6 @@ from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm_foxglove._protocol import CDR, StructureCodec
 
-__all__ = ["view_of"]
-
 Fields: TypeAlias = Mapping[str, Any]
 Path: TypeAlias = "tuple[str, ...]"
 Octets: TypeAlias = "bytes | bytearray | memoryview"

@@ -40,8 +40,6 @@ from uoarm_mcp._schemas import APPROVAL, tool_arguments
 from uoarm_mcp._streams import AgentStreams
 from uoarm_mcp._values import KeptValues, RenderedMessage, failure_text, succeeded
 
-__all__ = ["AgentActions", "AgentGoal", "AgentGoals", "check_arguments", "within"]
-
 _MOST_RUNNING = 32
 _MOST_KEPT = 128
 

@@ -21,8 +21,6 @@ from uoarm_mcp._schemas import (
     tool_arguments,
 )
 
-__all__ = ["STREAM", "Catalogue", "CatalogueMaker", "FunctionTool", "ToolKind", "uri_of"]
-
 STREAM = "uoarm://stream/"
 _AT_ONCE = 8
 _FIND_SECONDS = 10.0

@@ -32,8 +32,6 @@ from uoarm.server import Limits, Server, ServerOptions, run
 from uoarm.server.front_end import Discoveries, RefusedError
 from uoarm_mcp._service import AgentService
 
-__all__ = ["main", "own_wire", "serve_stdio", "uoarm_commands"]
-
 _REFUSED, _USED = 1, 5
 _LAST_PORT = 65_535
 _LINE_OCTETS = 1_048_576

@@ -6,8 +6,6 @@ from importlib.metadata import version
 
 from uoarm.server.front_end import FrontEnd, HttpPlace, hookimpl
 
-__all__ = ["uoarm_front_ends"]
-
 
 async def _serve(place: HttpPlace) -> None:
     from uoarm_mcp._http import PATH, serve_http  # noqa: PLC0415 - slow, and for who serves it

@@ -21,8 +21,6 @@ from uoarm.server import Limits
 from uoarm.server.front_end import Discoveries, HttpPlace, RefusedError, StatelessClient, coded_text
 from uoarm_mcp._service import CLIENT, AgentService
 
-__all__ = ["PATH", "serve_http"]
-
 PATH = "/mcp"
 _BODY_OCTETS = 1_048_576
 _CERTIFICATE = "uoarm.certificate"

@@ -36,8 +36,6 @@ from uoarm_mcp._schemas import OWN_INPUTS, check_schema
 from uoarm_mcp._streams import AgentStreams
 from uoarm_mcp._values import KeptValues
 
-__all__ = ["RobotTools"]
-
 _CANCEL_SECONDS = 5.0
 _WAIT_SECONDS = 20.0
 _MOST_EVENTS = 20

@@ -14,20 +14,6 @@ from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm.server.front_end import TEXT_FORM
 
-__all__ = [
-    "APPROVAL",
-    "COUNT",
-    "OWN_INPUTS",
-    "SECONDS",
-    "ToolArguments",
-    "check_schema",
-    "has_headers",
-    "output_schema",
-    "read_input",
-    "read_output",
-    "tool_arguments",
-]
-
 APPROVAL = "x-approval"
 COUNT = 100
 SECONDS = 30.0

@@ -76,8 +76,6 @@ from uoarm_mcp._values import (
     succeeded,
 )
 
-__all__ = ["CLIENT", "Agent", "AgentService"]
-
 _READ_SECONDS = 5.0
 CLIENT = "uoarm.client"
 _INSTRUCTIONS = (

@@ -25,8 +25,6 @@ from uoarm.server.front_end import (
     read_message,
 )
 
-__all__ = ["AgentStreams", "HeldStream", "ReadMessages"]
-
 _read = partial(read_message, TEXT_FORM)
 _IDLE_SECONDS = 30.0
 _MOST_OPEN = 64

@@ -18,17 +18,6 @@ from uoarm.errors import PluginError, UsageError
 from uoarm.model import Message
 from uoarm.server.front_end import TEXT_FORM, Account, Charge, MemoryUse, code_of, coded_text
 
-__all__ = [
-    "KEPT",
-    "KeptValues",
-    "RenderedMessage",
-    "failed",
-    "failure_text",
-    "is_picture",
-    "picture_of",
-    "succeeded",
-]
-
 KEPT = "uoarm://kept/"
 _SHORT = 16_384
 _SHORT_OCTETS = 1_024

@@ -34,8 +34,6 @@ from uoarm_mqtt._health import Components
 from uoarm_mqtt._link import BrokerConnection
 from uoarm_mqtt._options import MqttOptions, TopicOptions, announcement, connection_options, mistake
 
-__all__ = ["MqttBridge"]
-
 
 class MqttBridge(Bridge):
     """An endpoint's address is one topic; an output's may be a filter with wildcards."""

@@ -30,8 +30,6 @@ from uoarm_mqtt._link import BrokerConnection, PacketOutcome
 from uoarm_mqtt._options import TopicOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
-__all__ = ["MqttSink", "MqttSource", "ServedTopic", "ServiceCalls", "content_type"]
-
 Report = Callable[[Channel, Health, str], None]
 
 

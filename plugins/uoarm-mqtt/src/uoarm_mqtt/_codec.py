@@ -21,15 +21,6 @@ from uoarm.model import (
     scan_json,
 )
 
-__all__ = [
-    "CONTENT_TYPES",
-    "STRUCTURES",
-    "PayloadCodec",
-    "limits_of",
-    "with_topic",
-    "without_topic",
-]
-
 Convert = Callable[[Any], Any]
 
 _OCTET = {"type": "integer", "minimum": 0, "maximum": 255}

@@ -17,15 +17,6 @@ from uoarm_mqtt._link import BrokerConnection
 from uoarm_mqtt._options import MqttOptions, TopicOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
-__all__ = [
-    "STRUCTURE_HINTS",
-    "configured",
-    "describe_offline",
-    "described",
-    "read_schema",
-    "topics_on",
-]
-
 STRUCTURE_HINTS = {
     False: "say by topic, under `structures` of the bridge's options, what its messages are like",
     True: "say by topic, under `services` of the bridge's options, what it takes and answers",

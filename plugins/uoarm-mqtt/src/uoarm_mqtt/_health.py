@@ -17,8 +17,6 @@ from uoarm_mqtt._link import BrokerConnection
 from uoarm_mqtt._options import PresenceOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
-__all__ = ["ComponentPresence", "Components", "PresenceStatus", "RetainedTopic"]
-
 _SMALL = Budget(octets=16_384, elements=1000, depth=16)
 
 

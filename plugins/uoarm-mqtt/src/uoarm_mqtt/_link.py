@@ -25,8 +25,6 @@ from uoarm.model import Health
 from uoarm_mqtt._options import ConnectionOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
-__all__ = ["BrokerConnection", "PacketOutcome", "properties"]
-
 _STEP_SECONDS = 4.0
 """How long one step waits for the broker: less than the manager does, which knows no cause."""
 

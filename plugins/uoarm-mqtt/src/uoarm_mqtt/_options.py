@@ -15,20 +15,6 @@ from uoarm.bridge import BridgeOptions, DeclaredOptions, EndpointOptions, TlsOpt
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Options, is_loopback
 
-__all__ = [
-    "AnnouncementOptions",
-    "BrokerOptions",
-    "ConnectionOptions",
-    "DiscoveryOptions",
-    "MqttOptions",
-    "PresenceAnnouncement",
-    "PresenceOptions",
-    "TopicOptions",
-    "announcement",
-    "connection_options",
-    "mistake",
-]
-
 _TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1}
 _PATH: Mapping[str, Any] = {"type": "string", "minLength": 1, "x-uoarm-path": True}
 _SECONDS: Mapping[str, Any] = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}

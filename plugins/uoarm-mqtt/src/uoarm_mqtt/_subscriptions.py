@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator
 from attrs import define, field, frozen
 from paho.mqtt.client import topic_matches_sub
 
-__all__ = ["ReceivedMessage", "Receiver", "Subscriptions"]
-
 _FIRST_ID = 1
 _KEPT_IDS = 16  # of one filter: messages on their way carry the last, or one shortly before it
 

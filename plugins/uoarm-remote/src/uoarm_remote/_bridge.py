@@ -24,8 +24,6 @@ from uoarm_remote._discovery import described, discovered
 from uoarm_remote._link import ManagerLink
 from uoarm_remote._options import FunctionOptions, ManagerOptions, mistake
 
-__all__ = ["RemoteManagerBridge"]
-
 
 class RemoteManagerBridge(Bridge):
     """One other manager. An endpoint's address is one of its functions, and a port of it."""

@@ -19,8 +19,6 @@ from uoarm_remote._discovery import read_plan, wanted_name
 from uoarm_remote._link import ManagerLink
 from uoarm_remote._options import FunctionOptions
 
-__all__ = ["FunctionSink", "FunctionSource", "FunctionStreams"]
-
 Report: TypeAlias = Callable[[Health, str], object]
 _Arrival: TypeAlias = "tuple[Message] | tuple[str, str]"  # a message, or state and cause of an end
 _STANDING = 64

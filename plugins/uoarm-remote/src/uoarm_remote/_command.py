@@ -36,17 +36,6 @@ if TYPE_CHECKING:
     from zeroconf import ServiceStateChange
     from zeroconf.asyncio import AsyncServiceInfo
 
-__all__ = [
-    "MOST",
-    "SERVICE",
-    "AnnouncedManager",
-    "Browser",
-    "ManagerReport",
-    "announced_text",
-    "main",
-    "uoarm_commands",
-]
-
 _FAILED = 4
 _INDENT = "  "
 _LEAST_WIDTH = 40

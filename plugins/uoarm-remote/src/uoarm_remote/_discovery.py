@@ -12,8 +12,6 @@ from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, MessageStructure, Role, Schema, message_octets
 from uoarm_remote._link import ManagerLink
 
-__all__ = ["described", "discovered", "read_plan", "wanted_name"]
-
 _MOST_OCTETS = 4_194_304
 _MOST_IDENTITY = 64
 _log = logging.getLogger("uoarm")

@@ -34,15 +34,6 @@ from uoarm.errors import (
 )
 from uoarm_remote._options import ManagerOptions
 
-__all__ = [
-    "CONNECTING_ERRORS",
-    "LinkMember",
-    "ManagerLink",
-    "server_address",
-    "translated",
-    "why_unreachable",
-]
-
 T = TypeVar("T")
 _BACKOFF = Backoff(first=0.1, most=5.0, jitter=0.5)
 _FOREVER = 1e9

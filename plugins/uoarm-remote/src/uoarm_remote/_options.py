@@ -9,8 +9,6 @@ from attrs import frozen
 from uoarm.bridge import BridgeOptions, EndpointOptions, TlsOptions, option
 from uoarm.model import Options
 
-__all__ = ["FunctionOptions", "ManagerOptions", "mistake"]
-
 _SECONDS = {"type": "number", "exclusiveMinimum": 0}
 _FINGERPRINT = {"type": "string", "pattern": "^([0-9A-Fa-f]{2}:?){31}[0-9A-Fa-f]{2}$"}
 _URL = {"type": "string", "pattern": "^wss?://[^/?#]+/?$", "examples": ["wss://robot3:9080/"]}

@@ -46,8 +46,6 @@ from uoarm_rocos.devices._oximeters import (
 )
 from uoarm_rocos.speech import Engine, EspeakEngine, FestivalEngine, Speech
 
-__all__ = ["MakeWire", "RocosBridge", "make_device", "xml_wire"]
-
 _OXIMETERS: dict[str, tuple[str, float, Callable[[], OximeterDecoder]]] = {
     "contec-cms50dplus": ("Contec CMS50D+", CONTEC_PERIOD, ContecDecoder),
     "nonin-1": ("Nonin, serial format 1", NONIN_1_PERIOD, Nonin1Decoder),

@@ -9,39 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from attrs import define, field, frozen
 
-__all__ = [
-    "INT64",
-    "NAME",
-    "PROFILE",
-    "Api",
-    "ApiKind",
-    "BooleanField",
-    "CallMessage",
-    "CatalogueMessage",
-    "CloseMessage",
-    "DataMessage",
-    "DescribeMessage",
-    "DeviceCatalogue",
-    "Direction",
-    "ErrorCode",
-    "ErrorMessage",
-    "Field",
-    "Fields",
-    "HeartbeatMessage",
-    "IntegerField",
-    "ListField",
-    "NamedField",
-    "NumberField",
-    "OctetsField",
-    "OpenMessage",
-    "ResultMessage",
-    "StringField",
-    "StructField",
-    "Values",
-    "WireMessage",
-    "differences",
-]
-
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.\-]{0,63}", re.ASCII)
 INT64 = (-(2**63), 2**63 - 1)
 

@@ -30,15 +30,6 @@ from uoarm_rocos._catalogue import (
 from uoarm_rocos._framing import MessageLimits, WireError, parse
 from uoarm_rocos._values import attribute, read_real, read_whole, real, text
 
-__all__ = [
-    "allowed",
-    "load_catalogue",
-    "read_catalogue",
-    "read_fields",
-    "write_catalogue",
-    "write_fields",
-]
-
 _TAGS: dict[type, str] = {
     BooleanField: "boolean",
     IntegerField: "integer",

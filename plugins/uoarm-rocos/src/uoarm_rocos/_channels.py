@@ -12,16 +12,6 @@ from uoarm_rocos._device import DeviceFlow, InputFlow
 from uoarm_rocos._framing import WireError
 from uoarm_rocos._structure import fit
 
-__all__ = [
-    "ProfileFlow",
-    "ProfileInput",
-    "ProfileOutput",
-    "QueuedReceiver",
-    "SinkChannel",
-    "SourceChannel",
-    "delivery_queue",
-]
-
 F = TypeVar("F", bound=DeviceFlow)
 
 

@@ -36,8 +36,6 @@ from uoarm_rocos._values import (
     write_values,
 )
 
-__all__ = ["MessageCodec", "WrittenForm", "XmlCodec"]
-
 _ATTRIBUTES = 3
 _ATTRIBUTE_OCTETS = 64  # of a name; times and counts are shorter
 _REAL = r"[0-9.eE+\-]{1,30}|-?INF|NaN"

@@ -33,8 +33,6 @@ from uoarm_rocos.simulate import (
     run,
 )
 
-__all__ = ["main", "uoarm_commands"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 

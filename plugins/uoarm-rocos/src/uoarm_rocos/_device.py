@@ -14,18 +14,6 @@ from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, Direction, Err
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._line import DeviceLine
 
-__all__ = [
-    "Device",
-    "DeviceFlow",
-    "InputFlow",
-    "LineDevice",
-    "PendingAnswers",
-    "PendingReply",
-    "ReportHealth",
-    "find",
-    "refusal",
-]
-
 ReportHealth = Callable[[Health, str], None]
 
 

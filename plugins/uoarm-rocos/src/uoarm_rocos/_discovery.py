@@ -11,8 +11,6 @@ from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue
 from uoarm_rocos._options import address_of
 from uoarm_rocos._structure import describe
 
-__all__ = ["doctor", "listing"]
-
 
 def listing(bridge: str, device: str, catalogue: DeviceCatalogue) -> Discovered:
     """Return a device with an endpoint for each service, and for each way of each flow."""

@@ -13,18 +13,6 @@ from defusedxml.ElementTree import DefusedXMLParser
 
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = [
-    "SERIAL_LIMITS",
-    "TCP_LIMITS",
-    "Framer",
-    "LengthFramer",
-    "LineError",
-    "MessageLimits",
-    "StuffedFramer",
-    "WireError",
-    "parse",
-]
-
 
 class WireError(BridgeError):
     """A frame or message breaks the protocol; the text says where and what was expected."""

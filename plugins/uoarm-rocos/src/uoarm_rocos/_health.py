@@ -11,8 +11,6 @@ from attrs import define
 from uoarm.bridge import ChannelHealth, ChannelMonitor
 from uoarm.model import Health
 
-__all__ = ["ConversationIds", "HeartbeatWatch", "SequenceCheck", "flow_monitor"]
-
 _PERIODS = 5
 _LEAST_SILENCE = 1.0
 

@@ -14,8 +14,6 @@ from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._transport import TICK_SECONDS, LineTransport
 
-__all__ = ["DeviceLine", "DeviceLineUser", "Readiness"]
-
 
 class Readiness:
     """Watches a descriptor for the line's own thread; on Linux.

@@ -18,18 +18,6 @@ from uoarm.bridge import (
 from uoarm.model import Endpoint, Options, Role
 from uoarm_rocos._catalogue import NAME, Direction
 
-__all__ = [
-    "DRIVERS",
-    "DeviceOptions",
-    "LineOptions",
-    "PortOptions",
-    "RocosOptions",
-    "Timing",
-    "address_of",
-    "mistake",
-    "tcp_address",
-]
-
 _TEXT: Mapping[str, Any] = {"type": "string"}
 _PATH: Mapping[str, Any] = {"type": "string", "x-uoarm-path": True}
 _SECONDS: Mapping[str, Any] = {"type": "number", "exclusiveMinimum": 0, "maximum": 3600}

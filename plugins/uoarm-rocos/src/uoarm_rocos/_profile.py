@@ -42,8 +42,6 @@ from uoarm_rocos._options import Timing
 from uoarm_rocos._structure import fit
 from uoarm_rocos._transport import LineTransport
 
-__all__ = ["Changed", "Conversation", "ConversationListener", "LineParts", "ProfileDevice"]
-
 _FIRST_HEARTBEAT = 1.0
 _CATALOGUE_SECONDS = 3.0
 _WRAP = 2**32

@@ -30,8 +30,6 @@ from uoarm_rocos._catalogue import (
 )
 from uoarm_rocos._framing import WireError
 
-__all__ = ["ApiClass", "ApiRecord", "api_classes", "describe", "fit", "structure_of"]
-
 _OCTET = {"type": "integer", "minimum": 0, "maximum": 255}
 
 

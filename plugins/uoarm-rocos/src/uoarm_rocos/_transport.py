@@ -14,8 +14,6 @@ from uoarm.bridge import text_of
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._options import LineOptions, tcp_address
 
-__all__ = ["LineTransport", "SerialTransport", "TcpTransport", "transport_for"]
-
 TICK_SECONDS = 0.05
 _WRITE_SECONDS = 2.0
 _MOST = 65_536

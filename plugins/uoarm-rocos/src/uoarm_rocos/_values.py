@@ -14,18 +14,6 @@ from typing import Any
 from uoarm_rocos._catalogue import NAME
 from uoarm_rocos._framing import WireError
 
-__all__ = [
-    "attribute",
-    "octets",
-    "read_real",
-    "read_values",
-    "read_whole",
-    "real",
-    "text",
-    "truth",
-    "write_values",
-]
-
 _WHOLE = re.compile(r"-?[0-9]{1,20}", re.ASCII)
 _REAL = re.compile(r"-?[0-9]{1,400}(\.[0-9]{1,400})?([eE][+\-]?[0-9]{1,4})?", re.ASCII)
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")

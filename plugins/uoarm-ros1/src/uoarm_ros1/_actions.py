@@ -24,8 +24,6 @@ from uoarm_ros1._publication import TopicPublication
 from uoarm_ros1._subscription import PublisherHeader, TopicSubscription
 from uoarm_ros1._types import ActionType, TypeStore, framed_writer, reader
 
-__all__ = ["ActionCaller", "ServedAction", "described_action"]
-
 PENDING, ACTIVE, PREEMPTED, SUCCEEDED, ABORTED, REJECTED = range(6)
 PREEMPTING, RECALLING, RECALLED, LOST = range(6, 10)
 _WORDS = {

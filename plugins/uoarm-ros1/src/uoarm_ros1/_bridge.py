@@ -50,8 +50,6 @@ from uoarm_ros1._services import Caller, ServedService, probe_service
 from uoarm_ros1._subscription import PublisherHeader
 from uoarm_ros1._types import TypeStore, described_service
 
-__all__ = ["Ros1Bridge"]
-
 _TICK_SECONDS = 0.25
 _JOIN_SECONDS = 1.0
 C = TypeVar("C", bound=Channel)

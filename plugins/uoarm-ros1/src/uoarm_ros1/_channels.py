@@ -27,17 +27,6 @@ from uoarm_ros1._options import Ros1Address, Ros1Options
 from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, TopicSubscription
 from uoarm_ros1._types import framed_writer, reader
 
-__all__ = [
-    "Relay",
-    "Ros1ParameterSink",
-    "Ros1ParameterSource",
-    "Ros1TopicSink",
-    "Ros1TopicSource",
-    "SameTopic",
-    "TopicPlace",
-    "parameter_structure",
-]
-
 _WAIT_SECONDS = 0.2
 _LOOK_SECONDS = 0.005
 

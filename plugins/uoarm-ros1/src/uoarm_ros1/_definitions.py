@@ -17,16 +17,6 @@ from attrs import frozen
 from uoarm.cdr import BASIC, number_schema, ros_unit
 from uoarm.model import MessageStructure
 
-__all__ = [
-    "NUMBERS",
-    "DefinitionError",
-    "RosRecord",
-    "RosService",
-    "parts_of",
-    "record_of",
-    "service_of",
-]
-
 _Schema: TypeAlias = dict[str, Any]
 
 NUMBERS: Mapping[str, str] = {

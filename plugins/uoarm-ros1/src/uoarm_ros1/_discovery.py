@@ -15,8 +15,6 @@ from uoarm_ros1._node import Node
 from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, read_publisher_header
 from uoarm_ros1._tcpros import ProtocolError
 
-__all__ = ["Graph", "discovered"]
-
 _HEADER_SECONDS = 2.0
 
 _EVERYWHERE = frozenset({"/rosout", "/rosout_agg", "/clock"})

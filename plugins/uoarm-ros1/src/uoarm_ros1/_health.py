@@ -8,8 +8,6 @@ from attrs import define, field
 
 from uoarm.model import Health
 
-__all__ = ["LostComponents", "MasterHealth"]
-
 Report = tuple[Health, str]
 Key = tuple[str, str, str]
 """A component, what is looked for (`publishers`, `subscribers` or `services`), and its name."""

@@ -14,8 +14,6 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros1._tcpros import ProtocolError
 from uoarm_ros1._xmlrpc import Fault, HttpReader, decode_reply, encode_call, http_request
 
-__all__ = ["GraphState", "Master", "call_api", "connect", "failure_text"]
-
 _CALL_SECONDS = 2.0
 """How long one call may take: less than a step may, so that its error says what did not come."""
 

@@ -26,8 +26,6 @@ from uoarm_ros1._tcpros import encode_header
 from uoarm_ros1._types import TypeStore, framed_writer, reader
 from uoarm_ros1._xmlrpc import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
 
-__all__ = ["Clock", "Node", "Rosout"]
-
 _ASK_SECONDS = 0.5
 _LOOPBACK = {"localhost", "127.0.0.1", "::1"}
 T = TypeVar("T")

@@ -13,18 +13,6 @@ from uoarm.bridge import BridgeOptions, PeerOptions, address_check, option, read
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Endpoint, Options, Role
 
-__all__ = [
-    "Names",
-    "NodeIdentity",
-    "Ros1Address",
-    "Ros1BridgeOptions",
-    "Ros1Options",
-    "address_of",
-    "mistake",
-    "port_of",
-    "topic_name",
-]
-
 PARAMETER = "parameter"
 _TEXT: Mapping[str, object] = {"type": "string", "minLength": 1}
 _SECONDS: Mapping[str, object] = {"type": "number", "minimum": 0, "maximum": 60}

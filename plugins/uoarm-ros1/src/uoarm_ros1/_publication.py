@@ -21,8 +21,6 @@ from uoarm_ros1._tcpros import (
     subscriber_problem,
 )
 
-__all__ = ["TopicPublication", "keep_alive"]
-
 _CHUNK = 4096
 _LOOK_SECONDS = 0.002
 

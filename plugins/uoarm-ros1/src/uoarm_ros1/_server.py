@@ -19,8 +19,6 @@ from uoarm.bridge import TurnCounter, Turns
 from uoarm_ros1._tcpros import ProtocolError, TcprosReader, decode_header
 from uoarm_ros1._xmlrpc import Fault, HttpReader, decode_call, encode_reply, http_reply
 
-__all__ = ["Handler", "NodeServer", "SocketLoop"]
-
 _log = logging.getLogger("uoarm.ros1")
 _JOIN_SECONDS = 2.0
 

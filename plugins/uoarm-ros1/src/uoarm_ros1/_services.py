@@ -27,8 +27,6 @@ from uoarm_ros1._tcpros import (
 )
 from uoarm_ros1._types import LENGTH, framed_writer, reader
 
-__all__ = ["Caller", "ServedService", "probe_service"]
-
 _CHUNK = 65_536
 _PROBE_SECONDS = 2.0
 _MAX_HEADER_OCTETS = 1 << 20

@@ -26,8 +26,6 @@ from uoarm_ros1._tcpros import (
     subscriber_header,
 )
 
-__all__ = ["PublisherHeader", "SubscriptionOptions", "TopicSubscription", "read_publisher_header"]
-
 _CONNECT_SECONDS = 5.0
 _LISTED_SECONDS = 1.0
 _LISTED_LOOK_SECONDS = 0.002

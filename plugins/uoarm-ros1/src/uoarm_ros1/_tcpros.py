@@ -9,22 +9,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping
 
-__all__ = [
-    "MAX_HEADER_OCTETS",
-    "ProtocolError",
-    "ReplyReader",
-    "TcprosReader",
-    "decode_header",
-    "encode_header",
-    "frames_of",
-    "publisher_header",
-    "publisher_problem",
-    "service_header",
-    "service_problem",
-    "subscriber_header",
-    "subscriber_problem",
-]
-
 _ANY = "*"
 Header = Mapping[str, str]
 

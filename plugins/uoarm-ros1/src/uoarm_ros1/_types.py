@@ -24,17 +24,6 @@ from uoarm_ros1._definitions import (
     service_of,
 )
 
-__all__ = [
-    "LENGTH",
-    "ActionType",
-    "TypeStore",
-    "described_service",
-    "framed_writer",
-    "installed_folders",
-    "noetic_definition",
-    "reader",
-]
-
 _MAX_FILES = 20_000
 _MAX_OCTETS = 1 << 20
 _SYSTEM = ("/usr/share", "/opt/ros/*/share")

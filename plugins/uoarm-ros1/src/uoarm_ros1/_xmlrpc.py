@@ -20,23 +20,6 @@ from attrs import define, field, frozen
 from uoarm.model import Budget
 from uoarm_ros1._tcpros import ProtocolError
 
-__all__ = [
-    "XML_BUDGET",
-    "Fault",
-    "HttpMessage",
-    "HttpReader",
-    "NodeApi",
-    "ParameterUpdate",
-    "PublisherUpdate",
-    "Shutdown",
-    "decode_call",
-    "decode_reply",
-    "encode_call",
-    "encode_reply",
-    "http_reply",
-    "http_request",
-]
-
 XML_BUDGET = Budget(octets=8 << 20, elements=200_000, depth=64)
 _LEAST, _MOST = -(2**31), 2**31 - 1
 _LEAVES = frozenset(

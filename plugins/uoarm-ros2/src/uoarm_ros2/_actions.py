@@ -22,8 +22,6 @@ from uoarm_ros2._schema import action_records
 from uoarm_ros2._services import Disagreement, ServerComparison, answered, require_agreement
 from uoarm_ros2._types import import_type
 
-__all__ = ["Action", "ActionSink", "ActionSource"]
-
 _STATUS = {
     1: "accepted",
     2: "executing",

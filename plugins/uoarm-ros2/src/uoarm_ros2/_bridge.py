@@ -57,8 +57,6 @@ from uoarm_ros2._transforms import FrameLookups
 from uoarm_ros2._type_finder import DESCRIPTION_SERVICE, DefinedTypes, TypeFinder
 from uoarm_ros2._types import ACTION, import_type, is_described, is_large, shape_of
 
-__all__ = ["Ros2Bridge", "SharedEntities"]
-
 _UNUSED_SECONDS = 10.0
 _Key = tuple[str, str]
 

@@ -19,8 +19,6 @@ from uoarm_ros2._middleware import Peer, publish_released, rclpy_errors
 from uoarm_ros2._qos import KEEP_ALL_SECONDS, Policies, clashes, for_reading, for_writing
 from uoarm_ros2._topic_endpoint import TopicContext, TopicEndpoint, judge_by_entry
 
-__all__ = ["PublisherSink", "SameTopicLink", "SerialisedRelay", "SubscriptionSource"]
-
 _FULL = "cannot publish data"
 _LOSSLESS = QueuePolicy(policy=OverflowPolicy.BLOCK, timeout=KEEP_ALL_SECONDS)
 

@@ -30,16 +30,6 @@ from uoarm.model import Message
 from uoarm_ros2._schema import integer_range
 from uoarm_ros2._types import NUMBER_CODES, ArrayType, RecordType, ScalarType, Shape, StringType
 
-__all__ = [
-    "FunctionBuilder",
-    "UnfitValueError",
-    "checker",
-    "reader",
-    "shown",
-    "taker",
-    "writer",
-]
-
 
 class FunctionBuilder:
     """One function, line by line; `argument` is what stands in its parentheses.

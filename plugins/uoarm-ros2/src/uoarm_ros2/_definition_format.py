@@ -8,8 +8,6 @@ from pathlib import Path
 from uoarm.plugins import DefinitionFormat, Definitions, hookimpl
 from uoarm_ros2.definitions import read_definitions, types_of
 
-__all__ = ["uoarm_definition_formats"]
-
 _SUFFIXES = frozenset({".msg", ".srv", ".action", ".idl"})
 
 

@@ -22,16 +22,6 @@ from uoarm_ros2._middleware import NodeRunner
 from uoarm_ros2._qos import Policies, clashes
 from uoarm_ros2._types import import_type
 
-__all__ = [
-    "Allowance",
-    "ArrayReading",
-    "DiagnosticsReader",
-    "Entry",
-    "EntryHealth",
-    "EntryLease",
-    "read_array",
-]
-
 _TEXTS = 100_000  # a second: some 30 ms of work
 _TEXT_SECONDS = 1.0  # a cause that changes on and on is reported no more often
 _MESSAGE, _VALUE, _VALUES, _NAMES = 200, 60, 8, 32

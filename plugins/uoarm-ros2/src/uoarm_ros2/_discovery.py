@@ -21,8 +21,6 @@ from uoarm_ros2._options import Ros2Address, Ros2Options
 from uoarm_ros2._schema import describe_action, describe_service
 from uoarm_ros2._types import ACTION, MESSAGE, kind_of, of_type, type_mistake
 
-__all__ = ["NodePresence", "Ros2Graph", "ServerPresence", "Topic", "discovered"]
-
 _HIDDEN = "/_action/"
 _OF_EVERY_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 _FEEDBACK = "/_action/feedback"

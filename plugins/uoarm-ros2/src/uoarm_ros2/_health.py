@@ -9,8 +9,6 @@ from functools import partial
 from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor
 from uoarm.model import Health
 
-__all__ = ["PROMISED", "Report", "SimulatedClock", "monitored", "promised_silence"]
-
 _LEAST_SECONDS = 1.0  # no silence is shorter, whatever the rate: a busy machine has pauses
 _DEADLINES = 3
 PROMISED = f", {_DEADLINES} times the deadline of its QoS (stale_after)"

@@ -30,17 +30,6 @@ from uoarm_ros2._types import (
 )
 from uoarm_ros2.definitions import DefinitionReader
 
-__all__ = [
-    "Installation",
-    "Wheel",
-    "absent_middleware",
-    "doubts",
-    "installation",
-    "installed",
-    "structure_of_type",
-    "wheels",
-]
-
 _NAME_PARTS = 3
 
 

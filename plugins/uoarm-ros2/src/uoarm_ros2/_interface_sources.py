@@ -18,17 +18,6 @@ from attrs import frozen
 from uoarm.bridge import text_of
 from uoarm.errors import ConfigurationError, PluginError
 
-__all__ = [
-    "Generated",
-    "InterfacePackage",
-    "generate",
-    "in_build_order",
-    "needs_of",
-    "packages_in",
-    "prefixes",
-    "translate",
-]
-
 KINDS = ("msg", "srv", "action")
 _NAME = re.compile(r"[a-z](_?[a-z0-9]+)*")
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")

@@ -33,8 +33,6 @@ from uoarm_ros2._interface_sources import (
     translate,
 )
 
-__all__ = ["build_wheels", "write_wheel"]
-
 
 def write_wheel(
     output: Path, name: str, version: str, requires: tuple[str, ...], files: Mapping[str, Path]

@@ -22,16 +22,6 @@ from uoarm_ros2._discovery import Ros2Graph
 from uoarm_ros2._options import Ros2Options, node_of
 from uoarm_ros2._parameters import ParameterClient, flattened
 
-__all__ = [
-    "Lifecycle",
-    "ManagedNode",
-    "ManagedNodes",
-    "NodeAccess",
-    "NodeLease",
-    "NodeRequirement",
-    "Transition",
-]
-
 _ACTIVE, _INACTIVE, _UNCONFIGURED = "active", "inactive", "unconfigured"
 _LOST = (_UNCONFIGURED, "errorprocessing", "finalized")
 

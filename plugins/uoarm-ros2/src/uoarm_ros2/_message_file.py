@@ -15,8 +15,6 @@ from attrs import frozen
 from uoarm_ros2._schema import integer_range
 from uoarm_ros2._types import NUMBER_CODES, ScalarType, StringType
 
-__all__ = ["ParsedField", "ParsedMessage", "ParsedType", "parse_file", "require_one_each"]
-
 _LOWER = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _UPPER = re.compile(r"[A-Z](?:_?[A-Z0-9])*")
 _MESSAGE = re.compile(r"[A-Z][A-Za-z0-9]*")

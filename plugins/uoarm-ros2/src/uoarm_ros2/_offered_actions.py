@@ -25,8 +25,6 @@ from uoarm_ros2._middleware import GoalRequest, NodeRunner
 from uoarm_ros2._schema import action_records
 from uoarm_ros2._types import import_type
 
-__all__ = ["GoalTable", "OfferedAction", "OfferedCall", "OfferedSink", "OfferedSource"]
-
 _MOST_WAITING = 256
 _MOST_RUNNING = 1024
 _MOST_EARLY = 64

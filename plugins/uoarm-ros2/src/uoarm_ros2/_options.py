@@ -13,19 +13,6 @@ from uoarm.model import Endpoint, Options, Role
 from uoarm_ros2._qos import AUTO_ONLY, QosOptions
 from uoarm_ros2._types import ACTION, MESSAGE, SERVICE, kind_of, type_mistake
 
-__all__ = [
-    "HIGHEST_DOMAIN",
-    "LOOKUP",
-    "TF_MESSAGE",
-    "Ros2Address",
-    "Ros2BridgeOptions",
-    "Ros2Options",
-    "address_of",
-    "mistake",
-    "node_of",
-    "options_of",
-]
-
 _GRAPH_NAME = "/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
 _NAME = re.compile(_GRAPH_NAME)
 _PARTS = {

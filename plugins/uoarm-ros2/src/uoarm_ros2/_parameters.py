@@ -8,8 +8,6 @@ from typing import Any
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message, Options
 
-__all__ = ["ParameterClient", "flattened", "holds", "mistakes", "value_for"]
-
 _BOOL, _INTEGER, _DOUBLE, _STRING, _BYTES, _BOOLS, _INTEGERS, _DOUBLES, _STRINGS = range(1, 10)
 # Names of rcl_interfaces/msg/ParameterValue; a list is read as the first of these that takes it.
 _FIELDS = {

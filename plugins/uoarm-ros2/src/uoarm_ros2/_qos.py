@@ -8,16 +8,6 @@ from attrs import evolve, frozen
 
 from uoarm.bridge import EndpointOptions, option
 
-__all__ = [
-    "AUTO_ONLY",
-    "KEEP_ALL_SECONDS",
-    "Policies",
-    "QosOptions",
-    "clashes",
-    "for_reading",
-    "for_writing",
-]
-
 KEEP_ALL_SECONDS = 10.0  # for which a history that keeps all waits for slow readers
 _DEPTH = 100
 _DEPTH_OF_LARGE = 5  # a queue of pictures is a delay: a hundred of 1080p are 600 MB

@@ -22,17 +22,6 @@ from uoarm_ros2._types import (
     shape_of,
 )
 
-__all__ = [
-    "action_records",
-    "describe_action",
-    "describe_service",
-    "integer_range",
-    "part_structure",
-    "schema_of",
-    "service_records",
-    "structure_of",
-]
-
 
 @lru_cache(maxsize=64)
 def integer_range(name: str) -> tuple[int, int] | None:

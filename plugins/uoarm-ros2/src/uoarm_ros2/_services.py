@@ -26,15 +26,6 @@ from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
 from uoarm_ros2._schema import service_records
 from uoarm_ros2._types import import_type
 
-__all__ = [
-    "Disagreement",
-    "ServerComparison",
-    "ServiceClient",
-    "ServiceServer",
-    "answered",
-    "require_agreement",
-]
-
 _LOOK_SECONDS = 1.0
 
 

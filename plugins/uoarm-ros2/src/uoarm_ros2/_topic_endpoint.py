@@ -20,8 +20,6 @@ from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
 from uoarm_ros2._options import Ros2Options
 from uoarm_ros2._qos import Policies, QosOptions
 
-__all__ = ["TopicContext", "TopicEndpoint", "judge_by_entry"]
-
 _CLASH_TICKS = 5
 _NAME_SECONDS = 0.5
 _CLASH_SECONDS = 0.5  # within which a peer that has just started reaches the graph

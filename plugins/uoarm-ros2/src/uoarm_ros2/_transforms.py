@@ -26,8 +26,6 @@ from uoarm_ros2._qos import Policies, clashes
 from uoarm_ros2._schema import schema_of, structure_of
 from uoarm_ros2._types import RecordType, import_type, shape_of
 
-__all__ = ["FrameLookups", "TransformBuffer", "TransformError", "Transformation"]
-
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 

@@ -41,8 +41,6 @@ from uoarm_ros2._types import (
 )
 from uoarm_ros2.definitions import DefinitionReader
 
-__all__ = ["DESCRIPTION_SERVICE", "DefinedTypes", "TypeFinder", "described_type", "untyped_record"]
-
 _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,254}")
 _MOST_TYPES = 256
 _MOST_FIELDS = 4096

@@ -20,33 +20,6 @@ from attrs import field, frozen
 from uoarm.cdr import BASIC
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = [
-    "ACTION",
-    "BOUNDED_TEXTS",
-    "EMPTY",
-    "KINDS",
-    "MESSAGE",
-    "NESTED",
-    "NUMBER_CODES",
-    "SCALARS",
-    "SERVICE",
-    "TEXTS",
-    "ArrayType",
-    "RecordField",
-    "RecordType",
-    "ScalarType",
-    "Shape",
-    "StringType",
-    "import_type",
-    "is_described",
-    "is_large",
-    "kind_of",
-    "of_type",
-    "shape_of",
-    "type_hash",
-    "type_mistake",
-]
-
 MESSAGE, SERVICE, ACTION = "msg", "srv", "action"
 _NAME = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9_]*")
 

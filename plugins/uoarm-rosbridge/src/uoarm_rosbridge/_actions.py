@@ -42,8 +42,6 @@ from uoarm_rosbridge._names import NamedPort, find_place
 from uoarm_rosbridge._types import check_type, is_same_type, read_arguments, reader_of, service_type
 from uoarm_rosbridge._wire import fragment_size, split, write_ros
 
-__all__ = ["ActionHub", "ActionProvider", "Actions"]
-
 
 class Runner(Protocol):
     """Who works on the goals of one action."""

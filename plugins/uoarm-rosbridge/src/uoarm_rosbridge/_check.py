@@ -6,8 +6,6 @@ from uoarm.bridge import install_command
 from uoarm.errors import PluginError
 from uoarm.plugins import Check, hookimpl
 
-__all__ = ["uoarm_checks"]
-
 
 def _run() -> dict[str, str]:
     try:

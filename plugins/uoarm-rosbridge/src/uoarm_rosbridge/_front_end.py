@@ -8,8 +8,6 @@ from uoarm_rosbridge._names import Addresses
 from uoarm_rosbridge._rosapi import RosapiCatalogue
 from uoarm_rosbridge._session import RosbridgeSession
 
-__all__ = ["uoarm_front_ends"]
-
 
 def _start(backend: Backend) -> MakeSession:
     hub, addresses = Hub(), Addresses(backend.robot)

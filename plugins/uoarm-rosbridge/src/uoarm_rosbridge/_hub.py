@@ -32,8 +32,6 @@ from uoarm_rosbridge._actions import ActionHub
 from uoarm_rosbridge._names import find_place
 from uoarm_rosbridge._types import is_same_type
 
-__all__ = ["ClientTopic", "Hub", "Parameters", "Provider"]
-
 _MOST_PARAMETERS = 1_000
 _MOST_OCTETS = 1 << 20
 

@@ -11,8 +11,6 @@ from uoarm.errors import ControlMessageError
 from uoarm.model import Function, Input, Output, Robot, Role, Service
 from uoarm.server.front_end import Client, Operation
 
-__all__ = ["PREFIX", "Addresses", "NamedPort", "find_place", "topic_of"]
-
 PREFIX = "/uoarm/"
 
 

@@ -26,8 +26,6 @@ from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import NamedPort
 from uoarm_rosbridge._types import check_type, read_arguments
 
-__all__ = ["SharedPublication", "publish_into"]
-
 
 def publish_into(
     place: NamedPort,

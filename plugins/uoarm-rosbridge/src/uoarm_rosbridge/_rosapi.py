@@ -21,7 +21,6 @@ from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import find_place
 from uoarm_rosbridge._rosapi_answers import (
     OWN,
-    PREFIX,
     ListedFunction,
     Question,
     RosapiAnswers,
@@ -30,8 +29,6 @@ from uoarm_rosbridge._rosapi_answers import (
     text_of,
 )
 from uoarm_rosbridge._wire import clock_now
-
-__all__ = ["PREFIX", "Rosapi", "RosapiCatalogue"]
 
 Arguments: TypeAlias = Mapping[str, Any]
 _ABSENT = "null"

@@ -25,17 +25,6 @@ from uoarm_rosbridge._types import (
     typedefs,
 )
 
-__all__ = [
-    "OWN",
-    "PREFIX",
-    "ListedFunction",
-    "Question",
-    "RosapiAnswers",
-    "arguments_by_name",
-    "question",
-    "text_of",
-]
-
 PREFIX = "/rosapi/"
 Arguments: TypeAlias = Mapping[str, Any]
 Structures: TypeAlias = Mapping[str, MessageStructure]

@@ -31,7 +31,8 @@ from uoarm.server.front_end import (
 from uoarm_rosbridge._actions import Actions
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Addresses, NamedPort, find_place
-from uoarm_rosbridge._rosapi import PREFIX, Rosapi, RosapiCatalogue
+from uoarm_rosbridge._rosapi import Rosapi, RosapiCatalogue
+from uoarm_rosbridge._rosapi_answers import PREFIX
 from uoarm_rosbridge._topics import Topics
 from uoarm_rosbridge._types import reader_of
 from uoarm_rosbridge._wire import (
@@ -43,8 +44,6 @@ from uoarm_rosbridge._wire import (
     split,
     write_ros,
 )
-
-__all__ = ["ClientServices", "RosbridgeSession"]
 
 Fields = Mapping[str, Any]
 _CANCEL = "/_action/cancel_goal"

@@ -41,8 +41,6 @@ from uoarm_rosbridge._wire import (
     write_publish_png,
 )
 
-__all__ = ["RawWriter", "RosbridgeSubscription", "SubscribeOptions", "Topics", "read_options"]
-
 _head = struct.Struct(">BI").pack
 _BYTE_STRING = 0x5A  # of CBOR, behind which its length stands in four octets
 

@@ -19,19 +19,6 @@ from uoarm.errors import MessageError, UsageError
 from uoarm.model import Message, MessageStructure
 from uoarm.server.front_end import TEXT_FORM, Read, read_message
 
-__all__ = [
-    "check_type",
-    "full_text",
-    "in_full",
-    "is_same_type",
-    "part_within",
-    "read_arguments",
-    "reader_of",
-    "service_type",
-    "type_name",
-    "typedefs",
-]
-
 _MOST = 200
 _VARIABLE, _SINGLE = 0, -1
 _RULE = "=" * 80

@@ -23,20 +23,6 @@ from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, Message, show_value
 from uoarm.server.front_end import dump_parts, read_text, write_binary
 
-__all__ = [
-    "Fragments",
-    "check_fields",
-    "clock_now",
-    "fragment_size",
-    "identity_of",
-    "read_operation",
-    "split",
-    "write_publish",
-    "write_publish_cbor",
-    "write_publish_png",
-    "write_ros",
-]
-
 _TEXTS = (
     "op", "topic", "type", "service", "action", "action_type", "level", "compression",
 )  # fmt: skip

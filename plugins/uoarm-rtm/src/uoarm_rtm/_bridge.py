@@ -58,8 +58,6 @@ from uoarm_rtm._services import (
 )
 from uoarm_rtm._types import CALL, Types
 
-__all__ = ["RtmBridge"]
-
 _EXIT_SECONDS = 3.0
 _WATCH_SECONDS = 1.0
 

@@ -32,8 +32,6 @@ from uoarm_rtm._peer import Connector, PeerComponent, PeerPort, connector_proper
 from uoarm_rtm._shape import BIG, LITTLE
 from uoarm_rtm._types import Types
 
-__all__ = ["InPortSink", "NativeConnector", "OutPortSource", "is_big_in_cpp", "required_port"]
-
 _KINDS = {Role.OUTPUT: "DataOutPort", Role.INPUT: "DataInPort"}
 _MISREAD = (Role.OUTPUT, "push"), (Role.INPUT, "pull")
 

@@ -16,8 +16,6 @@ from uoarm_rtm._naming import NamingService
 from uoarm_rtm._orb import Orb, corba_errors, limit
 from uoarm_rtm._peer import PeerComponent, PeerPort, properties_of, state_of
 
-__all__ = ["CommandSession", "session"]
-
 Row = dict[str, Any]
 
 

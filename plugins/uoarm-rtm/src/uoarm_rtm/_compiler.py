@@ -28,8 +28,6 @@ from attrs import field, frozen
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
-__all__ = ["OUR_IDL", "Stubs", "compile_idl", "load_idl", "omniorb_programs"]
-
 OUR_IDL = Path(__file__).parent / "idl"
 
 _LIMIT_SECONDS = 20.0

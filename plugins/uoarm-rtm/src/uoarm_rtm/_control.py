@@ -27,20 +27,6 @@ from uoarm_rtm._options import CONFIGURATION, LIFECYCLE, RtmEndpointOptions
 from uoarm_rtm._orb import corba_errors, narrowed
 from uoarm_rtm._peer import PeerComponent, contexts_of, pairs, properties_of, state_of
 
-__all__ = [
-    "CONSTRAINTS",
-    "DESCRIPTIONS",
-    "TYPES",
-    "WIDGETS",
-    "Activations",
-    "change",
-    "configure",
-    "doubt",
-    "drive",
-    "limits",
-    "problem",
-]
-
 _GLANCE_SECONDS = 0.02
 _GOALS = {"activate": "active", "deactivate": "inactive", "reset": "inactive"}
 _STATES = ["created", "inactive", "active", "error", "none"]

@@ -29,8 +29,6 @@ from uoarm_rtm._port_servant import (
 from uoarm_rtm._shape import CdrCodec, IdlStruct
 from uoarm_rtm._types import IDL, idl_of, is_derived, plain_name
 
-__all__ = ["INPORT_IOR", "OUTPORT_IOR", "InPort", "OutPort"]
-
 INPORT_IOR = "dataport.corba_cdr.inport_ior"
 OUTPORT_IOR = "dataport.corba_cdr.outport_ior"
 

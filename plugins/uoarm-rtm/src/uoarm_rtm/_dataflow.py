@@ -22,9 +22,6 @@ from omniORB import CORBA
 from uoarm_rtm._options import BufferPolicy, PushPolicy
 from uoarm_rtm._orb import CallGuard, calls
 
-__all__ = ["Buffer", "PullBuffer", "Puller", "Pusher", "SizeLimit", "ThreadedPusher", "is_there"]
-
-
 _SURELY_FITS = 1 << 16
 _HINT = "omniORB's own limit is 2097152, the option -ORBgiopMaxMsgSize of that process raises it"
 

@@ -40,8 +40,6 @@ from uoarm_rtm._shape import (
     structure_of,
 )
 
-__all__ = ["RETURN", "IdlInterface", "IdlOperation", "descriptors", "interfaces", "shape_of"]
-
 _DEEPEST = 32
 _SCALARS = {
     tcInternal.tv_octet: "octet",

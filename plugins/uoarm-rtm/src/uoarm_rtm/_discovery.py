@@ -26,9 +26,6 @@ from uoarm_rtm._peer import PeerComponent, PeerPort, contexts_of, peer_at, state
 from uoarm_rtm._services import described
 from uoarm_rtm._types import Types
 
-__all__ = ["Directory", "DirectoryEntry", "DirectoryMonitor", "discovered"]
-
-
 _AT_ONCE = 8
 _SUFFIX = ".rtc"
 

@@ -40,8 +40,6 @@ from uoarm_rtm._orb import Orb, calls, corba_errors, limit
 from uoarm_rtm._peer import Connections, Connector, PeerComponent, PeerPort, pairs, state_of
 from uoarm_rtm._shape import CdrCodec
 
-__all__ = ["ConnectorHealth", "Observers", "PortFault", "PortStatus", "RemotePort", "Ticker"]
-
 _IDLE = {"none": "inactive, without an execution context", "created": "not initialised"}
 
 

@@ -35,18 +35,6 @@ from uoarm.bridge import at_exit
 from uoarm.errors import BridgeError
 from uoarm_rtm._orb import Orb, calls, limit
 
-__all__ = [
-    "NAME",
-    "PROCESS",
-    "Journal",
-    "JournalEntry",
-    "end_connector",
-    "end_leftovers",
-    "end_observer",
-    "journal",
-    "process_of",
-]
-
 _MOST_OCTETS = 1 << 16
 _MOST_ENTRIES = 10_000
 _LOCK = "lock"

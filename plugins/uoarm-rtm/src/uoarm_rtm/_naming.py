@@ -19,8 +19,6 @@ from omniORB import CORBA, URI
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_rtm._orb import Orb, corba_errors, limit, narrowed
 
-__all__ = ["Name", "NamingService", "corbaloc", "path_of"]
-
 _BATCH = 200
 _MOST_NAMES = 10_000
 _DEEPEST = 16

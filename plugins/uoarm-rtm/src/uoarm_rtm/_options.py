@@ -21,24 +21,6 @@ from uoarm.bridge import (
 )
 from uoarm.model import Endpoint, Role
 
-__all__ = [
-    "CONFIGURATION",
-    "LIFECYCLE",
-    "SELF",
-    "BufferOptions",
-    "BufferPolicy",
-    "PortAddress",
-    "PushPolicy",
-    "RtmBridgeOptions",
-    "RtmEndpointOptions",
-    "address_of",
-    "buffer_policy",
-    "linked_options",
-    "option_mistake",
-    "push_policy",
-    "says_what_empty_means",
-]
-
 _SIDES = ("inport", "outport")
 
 _FULL = ("overwrite", "do_nothing", "block")

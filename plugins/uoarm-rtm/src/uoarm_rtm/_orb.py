@@ -27,18 +27,6 @@ from uoarm.bridge import at_exit
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._compiler import omniorb_programs
 
-__all__ = [
-    "CallGuard",
-    "Orb",
-    "calls",
-    "corba_errors",
-    "corba_text",
-    "deliveries",
-    "environment",
-    "limit",
-    "narrowed",
-]
-
 
 class CallGuard:
     """A context manager around calls; entered from any thread, also nested."""

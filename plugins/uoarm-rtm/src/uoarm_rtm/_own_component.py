@@ -16,8 +16,6 @@ from uoarm_rtm._services import ServicePort, servant_of
 from uoarm_rtm._types import Types
 from uoarm_rtm.component import ComponentProfile, RtComponent
 
-__all__ = ["OwnComponent"]
-
 
 class _OwnSource(Source):
     """An InPort of ours: what others write to it is delivered, one message at a time."""

@@ -29,20 +29,6 @@ from uoarm_rtm._journal import NAME, PROCESS, JournalEntry, end_connector, end_l
 from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb, calls, corba_errors, limit, narrowed
 
-__all__ = [
-    "Connections",
-    "Connector",
-    "PeerComponent",
-    "PeerPort",
-    "PortInterface",
-    "connector_properties",
-    "contexts_of",
-    "pairs",
-    "peer_at",
-    "properties_of",
-    "state_of",
-]
-
 
 @frozen
 class PortInterface:

@@ -26,14 +26,6 @@ from uoarm_rtm._orb import Orb, calls, limit
 from uoarm_rtm._peer import pairs
 from uoarm_rtm._shape import BIG, LITTLE
 
-__all__ = [
-    "ConnectorOptions",
-    "ConnectorRefusal",
-    "PortServant",
-    "read_connector_options",
-    "read_policies",
-]
-
 _ORDERS: dict[str, ByteOrder] = {"little": LITTLE, "big": BIG}
 _SUBSCRIPTIONS = ("flush", "new", "periodic")
 _DEFAULT_HZ = 10.0

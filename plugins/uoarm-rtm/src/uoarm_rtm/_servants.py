@@ -22,8 +22,6 @@ from uoarm.bridge import foreign
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import pairs, properties_of
 
-__all__ = ["Callbacks", "ComponentLifecycle", "ConfigurationServant", "ContextServant"]
-
 _log = logging.getLogger("uoarm.rtm")
 
 

@@ -31,17 +31,6 @@ from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._types import IDL, REQUEST, plain_name
 from uoarm_rtm.errors import IdlError
 
-__all__ = [
-    "OperationCaller",
-    "ServicePort",
-    "ServicePortChannel",
-    "described",
-    "offered",
-    "servant_of",
-    "split",
-    "unwrapped",
-]
-
 
 def described(interface: IdlInterface, operation: str) -> Description:
     """Return the structures of an operation; of all, marked by `operation`, for an empty one.

@@ -16,27 +16,6 @@ from attrs import evolve, frozen
 from uoarm.cdr import CORBA, FLOAT32_MAX, SWITCH, ByteOrder, Codec
 from uoarm.model import MessageStructure
 
-__all__ = [
-    "BIG",
-    "DERIVED",
-    "INTEGERS",
-    "LITTLE",
-    "CdrCodec",
-    "IdlEnum",
-    "IdlMember",
-    "IdlScalar",
-    "IdlSequence",
-    "IdlString",
-    "IdlStruct",
-    "IdlUnion",
-    "IdlUnionMember",
-    "Shape",
-    "codec_of",
-    "schema_of",
-    "structure_of",
-    "unit_of",
-]
-
 INTEGERS = {
     "octet": (0, 255),
     "short": (-(2**15), 2**15 - 1),

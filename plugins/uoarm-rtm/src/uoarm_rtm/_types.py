@@ -37,18 +37,6 @@ from uoarm_rtm._shape import (
     structure_of,
 )
 
-__all__ = [
-    "CALL",
-    "IDL",
-    "REQUEST",
-    "Types",
-    "derive",
-    "derive_interface",
-    "idl_of",
-    "is_derived",
-    "plain_name",
-]
-
 CALL, REQUEST = "call", "request"
 """The operation of a derived interface, and its parameter."""
 

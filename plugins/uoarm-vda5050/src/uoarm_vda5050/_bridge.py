@@ -33,8 +33,6 @@ from uoarm_vda5050._options import TRANSPORT, FleetOptions, VehicleAddress, plac
 from uoarm_vda5050._releases import RELEASES, SENT, TOPICS
 from uoarm_vda5050._transport_state import Times, TransportState
 
-__all__ = ["Vda5050Bridge"]
-
 _RETAINED = ("connection", "factsheet")
 
 

@@ -21,8 +21,6 @@ from uoarm_vda5050._messages import HEADER_IDS, VdaCodec
 from uoarm_vda5050._orders import words_of
 from uoarm_vda5050._transport_state import Action, Feedback, GoalEnded, Send, Status, TransportState
 
-__all__ = ["TransportSink", "TransportSource", "VehicleFollower", "call"]
-
 _MOST_STATES = 1000
 
 _log = logging.getLogger("uoarm.vda5050")

@@ -15,8 +15,6 @@ from uoarm_vda5050._messages import HEADER_OCTETS, Published, VdaCodec
 from uoarm_vda5050._options import TRANSPORT, VehicleAddress, mistake, place_of
 from uoarm_vda5050._releases import SENT, TOPICS, TRANSPORT_PARTS, transport_structure, with_header
 
-__all__ = ["VehicleDirectory"]
-
 _PARTS = tuple((TRANSPORT, part) for part in TRANSPORT_PARTS)
 _PORTS = (*((topic,) for topic in TOPICS), *_PARTS, (TRANSPORT,))
 

@@ -15,8 +15,6 @@ from uoarm.model import Budget, Health
 from uoarm_vda5050._messages import VdaCodec, check_of
 from uoarm_vda5050._releases import VdaRelease, body_of
 
-__all__ = ["Presence", "Vehicle"]
-
 _SMALL = Budget(octets=16_384, elements=1000, depth=16)
 
 Vehicle = tuple[str, str]

@@ -19,17 +19,6 @@ from uoarm.errors import ConfigurationError, MessageError
 from uoarm.model import Budget, Message, MessageStructure, Schema, read_json
 from uoarm_vda5050._releases import HEADER, TOPICS, VdaRelease, body_of
 
-__all__ = [
-    "HEADER_IDS",
-    "HEADER_OCTETS",
-    "Check",
-    "Headers",
-    "Published",
-    "VdaCodec",
-    "check_of",
-    "read_published",
-]
-
 HEADER_OCTETS = 320
 """About how many a header has at most, with names of the usual length."""
 HEADER_IDS = 2**32

@@ -13,15 +13,6 @@ from uoarm.bridge import EndpointOptions, option
 from uoarm.model import Options, Role
 from uoarm_vda5050._releases import RELEASES, SENT, TOPICS, TRANSPORT_PARTS
 
-__all__ = [
-    "TRANSPORT",
-    "FleetOptions",
-    "VehicleAddress",
-    "VehicleOptions",
-    "mistake",
-    "place_of",
-]
-
 _SECONDS: Mapping[str, Any] = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
 _COUNT: Mapping[str, Any] = {"type": "integer", "minimum": 1, "maximum": 10_000}
 

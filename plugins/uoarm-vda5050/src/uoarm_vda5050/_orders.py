@@ -12,8 +12,6 @@ from attrs import field, frozen
 from uoarm.errors import MessageError
 from uoarm_vda5050._releases import VdaRelease
 
-__all__ = ["Order", "OrderReport", "cancel_order", "new_id", "state_request", "words_of"]
-
 Body = dict[str, Any]
 
 _ENDED = frozenset({"FINISHED", "FAILED"})

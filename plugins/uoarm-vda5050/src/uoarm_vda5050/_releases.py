@@ -15,19 +15,6 @@ from attrs import frozen
 
 from uoarm.model import MessageStructure
 
-__all__ = [
-    "HEADER",
-    "RELEASES",
-    "SENT",
-    "TOPICS",
-    "TRANSPORT_PARTS",
-    "ErrorTypes",
-    "VdaRelease",
-    "body_of",
-    "transport_structure",
-    "with_header",
-]
-
 TOPICS = ("order", "instantActions", "state", "visualization", "connection", "factsheet")
 SENT = ("order", "instantActions")
 """Topics of messages to a vehicle; the others are of messages by it."""

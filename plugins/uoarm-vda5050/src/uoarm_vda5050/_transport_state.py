@@ -31,8 +31,6 @@ from uoarm_vda5050._orders import (
 )
 from uoarm_vda5050._releases import VdaRelease
 
-__all__ = ["Feedback", "GoalEnded", "Send", "Status", "Times", "TransportState"]
-
 _MOST_ABANDONED = 64
 
 

@@ -16,8 +16,6 @@ from attrs import define, field, frozen
 
 from uoarm_vda5050._releases import VdaRelease
 
-__all__ = ["Act", "Drive", "Task", "VehicleState"]
-
 Body = dict[str, Any]
 
 _MOST_NODES = 10_000

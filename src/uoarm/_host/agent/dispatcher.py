@@ -21,8 +21,6 @@ from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent, Service
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json
 
-__all__ = ["RequestDispatcher"]
-
 _log = logging.getLogger("uoarm")
 
 Request = Mapping[str, Any]

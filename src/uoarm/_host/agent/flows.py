@@ -21,8 +21,6 @@ from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Message, MessageStructure, ValidationMode, to_json
 
-__all__ = ["OpenFlows", "OutboundFlow", "packable_facts"]
-
 _PATIENCE_SECONDS = 1.0
 _log = logging.getLogger("uoarm")
 

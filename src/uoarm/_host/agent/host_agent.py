@@ -22,8 +22,6 @@ from uoarm.bridge import CONTRACT_VERSION, Registry
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import BridgeSpec
 
-__all__ = ["HostAgent", "HostedBridge"]
-
 _TRY_SECONDS = 2.0
 _AGAIN_SECONDS = 0.3
 _UNASKED_SECONDS = 5.0  # several times as long as a manager takes to ask; half of `start`

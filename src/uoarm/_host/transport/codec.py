@@ -22,8 +22,6 @@ from uoarm._raised import text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UoarmError
 from uoarm.model import Message
 
-__all__ = ["Frame", "check_claims", "from_failure", "pack", "to_failure", "unpack"]
-
 Frame: TypeAlias = bytes | bytearray
 """What `unpack` reads; the caller changes it no more."""
 

@@ -24,8 +24,6 @@ from uoarm.bridge import Outcomes
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, MessageError
 from uoarm.model import Message
 
-__all__ = ["FlowEnding", "FlowReceiver", "FlowSender", "Handled"]
-
 _HEADER = struct.Struct("<4sQQq")
 """What it is, number, skipped, and when it was sent.
 

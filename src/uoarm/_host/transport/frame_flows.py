@@ -20,8 +20,6 @@ from uoarm._host.transport.frames import FrameReader, FrameWriter, Received
 from uoarm._raised import foreign
 from uoarm.errors import BridgeTimeoutError
 
-__all__ = ["FlowSubscription", "FrameFlows", "Take"]
-
 Take = Callable[[Frame, bytes], object]
 """Takes the payload and the header of one frame."""
 

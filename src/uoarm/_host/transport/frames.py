@@ -20,8 +20,6 @@ from uoarm._forks import close_in_children
 from uoarm._host.transport.codec import Frame
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
-__all__ = ["FrameReader", "FrameWriter", "LinkSockets", "Received"]
-
 _HEAD = struct.Struct("<BBHIII")
 """What it is, nothing, the length of its key, its number, the lengths of header and payload."""
 _READ_OCTETS = 2**16

@@ -2,25 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "ALIVE",
-    "ANY_BRIDGE",
-    "ASK",
-    "COMMAND",
-    "HEALTH",
-    "HEARTBEAT",
-    "MACHINES",
-    "MANAGED",
-    "PROTOCOL_VERSION",
-    "SKIPPED",
-    "attach",
-    "bridge_prefix",
-    "clock",
-    "flow",
-    "here",
-    "service",
-]
-
 PROTOCOL_VERSION = 13
 """Both ends must have the same; it grows with every change of what crosses the link."""
 

@@ -17,8 +17,6 @@ from uoarm._host.transport import keys
 from uoarm._host.transport.transport import ANSWER_SECONDS, LinkLostError, Transport
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
-__all__ = ["Heartbeat", "LivenessMonitor", "Silence"]
-
 _MARGIN_SECONDS = 0.5
 _NEWS_SECONDS = 2.0
 _LEAST_SECONDS = 0.1

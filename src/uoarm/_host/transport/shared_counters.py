@@ -9,8 +9,6 @@ from array import array
 from collections import deque
 from typing import IO
 
-__all__ = ["HANDLING", "SharedCounter", "SharedCounters"]
-
 _SLOTS = 4096
 _WIDTH = 8
 

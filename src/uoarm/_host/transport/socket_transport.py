@@ -30,8 +30,6 @@ from uoarm._host.transport.transport import (
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
-__all__ = ["SocketTransport"]
-
 _ASK, _ANSWER, _NOTIFY, _TOKEN = range(4)
 _FULL_SECONDS = 0.2
 _MUST_ARRIVE_SECONDS = 5.0

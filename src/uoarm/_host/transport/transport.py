@@ -16,17 +16,6 @@ from uoarm._support.workers import WorkerPool
 from uoarm.bridge import boot_seconds
 from uoarm.errors import BridgeError, FailureReason, MessageError
 
-__all__ = [
-    "ANSWER_SECONDS",
-    "LinkLostError",
-    "Reply",
-    "RequestWorkers",
-    "Transport",
-    "answer_of",
-    "answer_to",
-    "read_answer",
-]
-
 ANSWER_SECONDS = 120.0
 """A request that nothing else limits is given up after this time."""
 

@@ -36,16 +36,6 @@ from uoarm._host.transport.transport import (
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
-__all__ = [
-    "MANAGER",
-    "NO_MORE",
-    "Identity",
-    "ZenohTransport",
-    "access_list",
-    "certified",
-    "configuration",
-]
-
 MANAGER = "manager"
 """The name of the manager's files in a folder of certificates."""
 _AUTHORITY = "ca"

@@ -12,18 +12,6 @@ from attrs import define, field, frozen
 
 from uoarm._encodable import encodable
 
-__all__ = [
-    "Document",
-    "NodePosition",
-    "Path",
-    "Position",
-    "Problem",
-    "ScalarError",
-    "clip",
-    "resolve",
-    "write_path",
-]
-
 _SHOWN = 60
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 

@@ -29,8 +29,6 @@ from uoarm._support.yaml._document import (
     write_path,
 )
 
-__all__ = ["ReadBudget", "read", "read_file"]
-
 _FORBIDDEN = re.compile(r"[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _STRING_TAGS = frozenset({None, "!", "tag:yaml.org,2002:str"})
 _TAG_PREFIX = "tag:yaml.org,2002:"

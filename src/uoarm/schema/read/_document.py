@@ -38,8 +38,6 @@ from uoarm.schema.read._resources import (
 )
 from uoarm.schema.regex import UnsupportedPatternError, is_disputed
 
-__all__ = ["Pool", "SchemaDocument", "SchemaTexts", "is_plain"]
-
 _MAX_PARTS = 50_000
 _MAX_TEXT_LEVELS = 40
 _NAMES = frozenset({str})

@@ -19,19 +19,6 @@ from uoarm.schema.regex import (
     compile_pattern,
 )
 
-__all__ = [
-    "ANNOTATIONS",
-    "LISTS",
-    "MAPS",
-    "READERS",
-    "SINGLES",
-    "NodeReader",
-    "Reference",
-    "SchemaNode",
-    "Scope",
-    "check_keyword",
-]
-
 Scope: TypeAlias = "tuple[tuple[str, str], ...]"
 """Names of dynamic anchors, each with the base of the document that has set it."""
 

@@ -20,21 +20,6 @@ from attrs import frozen
 from uoarm.schema._errors import Meter, OutOfScopeError, SchemaError
 from uoarm.schema.read._node import ANNOTATIONS, LISTS, MAPS, SINGLES, Scope
 
-__all__ = [
-    "DRAFT_2019",
-    "NEWEST",
-    "OLD_FORMS",
-    "PLACING",
-    "POSITIONAL",
-    "RECURSIVE",
-    "REFERENCES",
-    "BasePlace",
-    "Dialect",
-    "Resources",
-    "Scopes",
-    "dialect_of",
-]
-
 _NEW_IN_2020 = frozenset({"prefixItems", "$dynamicRef", "$dynamicAnchor"})
 _NEW_IN_2019 = frozenset(
     {"dependentRequired", "dependentSchemas", "unevaluatedItems", "unevaluatedProperties",

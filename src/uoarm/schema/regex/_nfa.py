@@ -10,20 +10,6 @@ from functools import lru_cache
 from itertools import groupby
 from typing import TypeAlias
 
-__all__ = [
-    "ANY",
-    "CLASSES",
-    "DOT",
-    "CharSet",
-    "MalformedPatternError",
-    "Nfa",
-    "UnsupportedPatternError",
-    "complement",
-    "contains",
-    "property_chars",
-    "union",
-]
-
 CharSet: TypeAlias = "tuple[tuple[int, int], ...]"
 
 _LAST = 0x10FFFF

@@ -30,8 +30,6 @@ from uoarm.schema.regex._nfa import (
     union,
 )
 
-__all__ = ["TextCache", "compile_pattern", "is_disputed"]
-
 T = TypeVar("T")
 
 

@@ -16,8 +16,6 @@ from uoarm.schema.regex._nfa import CLASSES, CharSet
 from uoarm.schema.regex._parser import compile_pattern
 from uoarm.schema.regex._walker import CodeUnits, UnitWalker, WalkState, walker_of
 
-__all__ = ["TooLong", "shortest_word"]
-
 Pattern: TypeAlias = "str | CodeUnits"
 Rivals: TypeAlias = "tuple[int, int] | None"
 """Which of the sorted excluded texts begin like this one; None where none does."""

@@ -21,8 +21,6 @@ from uoarm.schema.regex._nfa import (
 )
 from uoarm.schema.regex._parser import TextCache, compile_pattern
 
-__all__ = ["CodeUnits", "UnitWalker", "WalkState", "Walker", "found_in", "walker_of"]
-
 _START, _WORD, _OTHER, _END = range(4)
 _MAX_THREADS = 3_000
 _MAX_WALKED = 100_000

@@ -23,8 +23,6 @@ from uoarm.schema.solve._branch import (
 from uoarm.schema.solve._evaluate import accepts
 from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver
 
-__all__ = ["ArrayView", "Layout", "Matching", "array_leaf", "build_counted", "distinct", "several"]
-
 
 class Layout:
     """The demands on an array, arranged by position."""

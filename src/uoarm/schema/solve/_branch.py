@@ -28,27 +28,6 @@ from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._values import Key
 from uoarm.schema.read import SchemaNode
 
-__all__ = [
-    "ATOMS",
-    "KINDS",
-    "UNSATISFIABLE",
-    "VIOLATIONS",
-    "AnswerCache",
-    "Atom",
-    "Branch",
-    "Choice",
-    "Literal",
-    "Result",
-    "Tags",
-    "Unknown",
-    "Unsatisfiable",
-    "Witness",
-    "certainly_disjoint",
-    "contradicts",
-    "run",
-    "tags_of",
-]
-
 KINDS = ("null", "boolean", "number", "string", "array", "object")
 
 Literal: TypeAlias = "tuple[SchemaNode, bool]"

@@ -18,8 +18,6 @@ from uoarm.schema._values import Repeated
 from uoarm.schema.read import SchemaNode
 from uoarm.schema.solve._branch import KINDS, Witness
 
-__all__ = ["Messages", "SchemaDifference", "differences"]
-
 _MAX_DEPTH = 200
 _MAX_WRITTEN = 100
 _MAX_TEXT = 1_000

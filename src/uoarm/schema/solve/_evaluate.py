@@ -17,15 +17,6 @@ from uoarm.schema.read import SchemaNode
 from uoarm.schema.regex import CodeUnits, UnsupportedPatternError, found_in
 from uoarm.schema.solve._branch import run
 
-__all__ = [
-    "Judgements",
-    "accepts",
-    "item_rules",
-    "kinds_of_position",
-    "member_rules",
-    "named_rules",
-]
-
 
 @define
 class Marks:

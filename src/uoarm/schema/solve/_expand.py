@@ -26,8 +26,6 @@ from uoarm.schema.solve._branch import (
 )
 from uoarm.schema.solve._evaluate import named_rules
 
-__all__ = ["expand", "items_fail", "items_hold", "members_fail", "members_hold"]
-
 Condition: TypeAlias = "tuple[SchemaNode, bool] | str"
 """A schema that holds or fails, or the name of a member that is there."""
 Guard: TypeAlias = "tuple[Condition, ...]"

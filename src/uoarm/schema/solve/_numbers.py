@@ -15,19 +15,6 @@ from uoarm.schema._values import exact, kind_of
 from uoarm.schema.read import SchemaNode
 from uoarm.schema.solve._branch import UNSATISFIABLE, Literal, Result, Unknown, Witness, run
 
-__all__ = [
-    "EVERY_NUMBER",
-    "NO_NUMBER",
-    "Bound",
-    "Numbers",
-    "above",
-    "below",
-    "counted",
-    "find_number",
-    "find_number_whole",
-    "points",
-]
-
 _MAX_TRIES = 20_000
 _LARGEST = 2**1000
 _MAX_BITS = 100_000

@@ -19,8 +19,6 @@ from uoarm.schema.solve._branch import (
 from uoarm.schema.solve._evaluate import accepts, named_rules
 from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver
 
-__all__ = ["ObjectView", "object_leaf"]
-
 Verdict: TypeAlias = Generator[Goal, Result, "bool | None"]
 _MAX_CLASSES = 8
 _MAX_FILL = 3_000

@@ -25,8 +25,6 @@ from uoarm.schema.solve._numbers import find_number, find_number_whole
 from uoarm.schema.solve._objects import ObjectView, object_leaf
 from uoarm.schema.solve._solver import Asking, Goal, SearchState, Solver, possible_kinds, try_values
 
-__all__ = ["answer"]
-
 View: TypeAlias = "ObjectView | ArrayView"
 
 Judged: TypeAlias = Generator[Goal, Result, "list[Branch] | None"]

@@ -36,8 +36,6 @@ from uoarm.schema.solve._branch import (
 from uoarm.schema.solve._evaluate import Judgements
 from uoarm.schema.solve._expand import expand
 
-__all__ = ["Asking", "Goal", "SearchState", "Solver"]
-
 Goal: TypeAlias = "tuple[Literal, ...]"
 Asking: TypeAlias = Generator["Goal | Asking", Result, Result]
 GoalKey: TypeAlias = "frozenset[tuple[int, bool]]"

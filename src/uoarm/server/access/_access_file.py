@@ -12,8 +12,6 @@ from uoarm._support.yaml import Document, Path, Problem, ReadBudget, clip, read_
 from uoarm.errors import ConfigurationError
 from uoarm.server.access._role import OF_NO_FUNCTION, AccessPolicy, AccessRole, Grant, Operation
 
-__all__ = ["BUDGET", "read_access"]
-
 BUDGET = ReadBudget(octets=1_048_576, nodes=100_000, depth=16)
 _SHOWN = 50
 _ALL = "all"

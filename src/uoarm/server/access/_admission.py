@@ -23,18 +23,6 @@ from uoarm.model import is_loopback
 from uoarm.server.access._access_file import read_access
 from uoarm.server.access._role import LOCAL, AccessPolicy, AccessRole, Grant, Now, hash_token
 
-__all__ = [
-    "MANAGER_HEADER",
-    "TOKEN_SUBPROTOCOL",
-    "Admission",
-    "Credentials",
-    "RefusedError",
-    "RequestHead",
-    "WrongTokenError",
-    "WrongTokens",
-    "read_head",
-]
-
 _FREE, _FREE_IN_ALL = 5, 50
 _FIRST_SECONDS = 0.1
 _FORGIVEN_SECONDS = 10.0

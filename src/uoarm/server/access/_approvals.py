@@ -21,19 +21,6 @@ from uoarm.errors import MessageError
 from uoarm.model import Component, Function, Message, Plan, Robot, to_json
 from uoarm.server.access._role import AccessRole, Audit, DeniedError, Operation
 
-__all__ = [
-    "Approval",
-    "ApprovalBook",
-    "ApprovalEnvelope",
-    "ApprovalError",
-    "ApprovalFoundation",
-    "ApprovalPhase",
-    "ApprovalRequest",
-    "Approvals",
-    "Supervision",
-    "digest_of",
-]
-
 _MOST_ARGUMENTS = 65_536
 _MOST_RANGES = 64
 _MOST_COUNT = 1_000

@@ -28,23 +28,6 @@ from uoarm._secrets import HIDDEN, is_secret_name
 from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import Message, StopReport
 
-__all__ = [
-    "EVERYTHING",
-    "LOCAL",
-    "OF_NO_FUNCTION",
-    "AccessPolicy",
-    "AccessRole",
-    "Audit",
-    "AuditFile",
-    "DeniedError",
-    "Grant",
-    "Now",
-    "Operation",
-    "hash_token",
-    "make_token",
-    "masked",
-]
-
 
 class DeniedError(UoarmError):
     """The client's role does not allow what it asked."""

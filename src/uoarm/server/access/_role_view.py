@@ -17,8 +17,6 @@ from attrs import field, frozen
 from uoarm.model import Robot, StatusEvent
 from uoarm.server.access._role import AccessRole, Operation
 
-__all__ = ["RoleView", "RoleViews"]
-
 _HIDDEN = "…"
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _SUGGESTION = re.compile(rf"[;,]? ?did you mean [\"']{_HIDDEN}[\"'/.]*\?")

@@ -40,8 +40,6 @@ from uoarm.server.http._metrics import Totals
 from uoarm.server.session import address_of, host_of
 from uoarm.server.streams import Shares
 
-__all__ = ["OWN_PATHS", "AcceptedHandshake", "FrontEnds", "HandshakeHandler"]
-
 _GROUP = "uoarm.front_ends"
 _KNOWN = {"foxglove": "uoarm-foxglove", "rosbridge": "uoarm-rosbridge"}
 

@@ -22,17 +22,6 @@ from uoarm._origin import install_command
 from uoarm._support.files import write_whole
 from uoarm.errors import ConfigurationError
 
-__all__ = [
-    "BACKLOG",
-    "ListeningSocket",
-    "NoRoomError",
-    "connections_possible",
-    "fingerprint_of",
-    "listen",
-    "own_certificate",
-    "state_folder",
-]
-
 _log = logging.getLogger("uoarm.server")
 _EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 _ABSENT = frozenset({errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT})

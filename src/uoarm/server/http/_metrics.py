@@ -18,8 +18,6 @@ from uoarm.model import StatusMap
 from uoarm.server.session import ConnectedClient, SessionStore
 from uoarm.server.streams import FeedRegistry
 
-__all__ = ["Metrics", "Totals", "status_metrics", "thread_metrics"]
-
 _NUMBERED = re.compile(r"^Thread-\d+")
 
 

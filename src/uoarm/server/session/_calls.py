@@ -12,8 +12,6 @@ from uoarm.server.access import Operation
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.streams import Charge, FeedRegistry, read_message
 
-__all__ = ["ClientCalls"]
-
 
 class _Call:
     """A call, which may be cancelled: before it has begun, too."""

@@ -30,8 +30,6 @@ from uoarm.server.session._incoming import FrameDecoder, RateLimiter
 from uoarm.server.session._stateless_clients import AdmittedClient
 from uoarm.server.streams import Account, Outbox, acting
 
-__all__ = ["ConnectedClient", "Session"]
-
 _log = logging.getLogger("uoarm.server")
 _TURN_SECONDS = 0.001
 _WRITE_OCTETS = 2**16

@@ -30,8 +30,6 @@ from uoarm.server.streams import Account
 if TYPE_CHECKING:
     from websockets.typing import BytesLike  # not in the oldest version
 
-__all__ = ["Sockets", "TurnConnection", "address_of", "host_of"]
-
 _log = logging.getLogger("uoarm.server")
 _SLICE = 2048
 """Octets given to the parser in one go: 300 frames without content, which are parsed in 3 ms."""

@@ -11,8 +11,6 @@ from uoarm.errors import UsageError
 from uoarm.model import FoundComponent, Robot
 from uoarm.server.streams import FeedRegistry
 
-__all__ = ["Discoveries"]
-
 _ASK_SECONDS = 10.0
 _GRACE_SECONDS = 1.0
 _MOST_COMPONENTS = 1_000

@@ -28,16 +28,6 @@ from uoarm.server._limits import Limits
 if TYPE_CHECKING:
     from websockets.typing import BytesLike  # not in the oldest version
 
-__all__ = [
-    "DEFLATE",
-    "FrameDecoder",
-    "IncomingError",
-    "IncomingFrames",
-    "ParsingTurns",
-    "RateLimiter",
-    "Turn",
-]
-
 _MESSAGES = 4
 """Whole messages that wait for the session: with more nothing is read."""
 _PORTION = 2**16

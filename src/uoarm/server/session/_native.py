@@ -57,8 +57,6 @@ from uoarm.server.streams import (
     feed_key,
 )
 
-__all__ = ["NativeSession", "Shared"]
-
 _log = logging.getLogger("uoarm.server")
 _FAILED = "the server failed; its log says more"
 _KINDS = {Op.REQUEST: "", Op.LIST: "questions", Op.STATUS: "questions"}

@@ -17,8 +17,6 @@ from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
 from uoarm.server.streams import FeedRegistry
 
-__all__ = ["RecordingAnswer", "RecordingRequests", "make_folder"]
-
 RecordingAnswer: TypeAlias = "Callable[[ConnectedClient, RoleView, ControlMessage], Awaitable[Any]]"
 
 _MOST_FILES = 200

@@ -21,8 +21,6 @@ from uoarm.server.access import AccessRole, Credentials, hash_token
 from uoarm.server.session._client import ConnectedClient, Session
 from uoarm.server.streams import Account, MemoryUse
 
-__all__ = ["KeptSession", "ReplyCache", "Resumable", "SessionStore"]
-
 _log = logging.getLogger("uoarm.server")
 _KEY_BYTES = 32
 

@@ -35,8 +35,6 @@ from uoarm.server.access import (
 from uoarm.server.session._incoming import RateLimiter
 from uoarm.server.streams import Account, FeedRegistry, Shares, acting
 
-__all__ = ["AdmittedClient", "StatelessClient", "StatelessClients"]
-
 
 class AdmittedClient:
     """A client that was let in, whatever it speaks.

@@ -33,19 +33,6 @@ from uoarm.model import (
 from uoarm.server.access import AccessRole, Approval, Approvals, RoleView, RoleViews
 from uoarm.server.streams import shown_event
 
-__all__ = [
-    "FunctionLists",
-    "ListQuestion",
-    "StatusAnswer",
-    "StatusQuestion",
-    "StatusViews",
-    "list_functions",
-    "show_changes",
-    "show_plan",
-    "show_stop",
-    "visible_status",
-]
-
 _MOST_LISTS = 64
 
 

@@ -12,7 +12,6 @@ from uoarm.server.streams._feed import Envelope, Feed, FeedKey, Listener
 from uoarm.server.streams._feed_registry import (
     ChangeNotice,
     FeedRegistry,
-    Read,
     Watcher,
     shown_event,
 )
@@ -20,6 +19,7 @@ from uoarm.server.streams._input_sender import (
     CommandAges,
     Done,
     InputSender,
+    Read,
     check_message,
     read_message,
 )

@@ -24,8 +24,6 @@ from uoarm.server.streams._feed import Envelope, Feed, FeedKey
 from uoarm.server.streams._input_sender import Done, InputSender, Read
 from uoarm.server.streams._memory import Account
 
-__all__ = ["ActionRunners", "Goal", "GoalStatus", "StreamRunner", "is_action"]
-
 
 def _as_it_is(structure: MessageStructure, message: Message) -> Message:
     del structure

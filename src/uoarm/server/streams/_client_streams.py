@@ -24,8 +24,6 @@ from uoarm.server.streams._outbox import Lane
 from uoarm.server.streams._pending_feeds import OnAbsent
 from uoarm.server.streams._subscription import MessageForm, Subscriber, Subscription, Throttle
 
-__all__ = ["ClientStreams", "Stream", "feed_key"]
-
 
 @frozen(eq=False)
 class Stream:

@@ -23,8 +23,6 @@ from uoarm.model import Message, ValidationMode, message_octets
 from uoarm.server._limits import Limits
 from uoarm.server.streams._workers import LoopMailbox
 
-__all__ = ["Encoder", "Envelope", "Feed", "FeedBacklog", "FeedKey", "Listener", "takes_long"]
-
 _FRESH = 16
 _LATE_SECONDS = 0.1
 _PATIENCE_SECONDS = 1.0

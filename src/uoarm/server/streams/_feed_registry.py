@@ -50,8 +50,6 @@ from uoarm.server.streams._memory import Account, ServerMemory
 from uoarm.server.streams._pending_feeds import OnAbsent, PendingFeeds, is_absent
 from uoarm.server.streams._workers import CallEnded, LoopMailbox, Make, SharedViews, Workers, settle
 
-__all__ = ["ChangeNotice", "FeedRegistry", "Read", "Watcher", "shown_event"]
-
 A = TypeVar("A")
 Q = TypeVar("Q", bound=Hashable)
 T = TypeVar("T")

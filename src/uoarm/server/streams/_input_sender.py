@@ -23,8 +23,6 @@ from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Account, Charge, MemoryUse
 from uoarm.server.streams._workers import Workers
 
-__all__ = ["CommandAges", "Done", "InputSender", "Read", "check_message", "read_message"]
-
 _log = logging.getLogger("uoarm.server")
 _BATCH = 256
 _BATCH_OCTETS = 1_048_576

@@ -15,8 +15,6 @@ from uoarm.errors import UoarmError
 from uoarm.model import MessageStructure, Plan
 from uoarm.server.streams._workers import Workers
 
-__all__ = ["KnownStructures", "KnownTypes"]
-
 _FRESH_SECONDS = 2.0
 _WAIT_SECONDS = 0.15
 _NEVER = float("-inf")

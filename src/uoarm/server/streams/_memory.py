@@ -15,8 +15,6 @@ from typing import final
 
 from uoarm.server._failures import BusyError, LimitError
 
-__all__ = ["Account", "Charge", "MemoryUse", "ServerMemory", "Shares", "acting"]
-
 
 class MemoryUse(Enum):
     """What memory is held for."""

@@ -18,8 +18,6 @@ from uoarm.model import OverflowPolicy, QueuePolicy
 from uoarm.server.streams._memory import Account, Charge, MemoryUse, ServerMemory
 from uoarm.server.streams._send_window import SendWindow
 
-__all__ = ["Lane", "Outbox"]
-
 _FRESH = 16
 _BEHIND_SECONDS = 0.25
 

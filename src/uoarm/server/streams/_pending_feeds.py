@@ -14,8 +14,6 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._feed import Feed, FeedKey
 
-__all__ = ["OnAbsent", "PendingFeeds", "is_absent"]
-
 OnAbsent: TypeAlias = Callable[[str], None]
 """Takes why a function cannot be had yet; called at once, and again when that changes."""
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 
-__all__ = ["SendWindow"]
-
 _PING_SECONDS = 0.1
 _LOOK_SECONDS = 0.25
 _AIM_SECONDS = 0.4

@@ -20,8 +20,6 @@ from uoarm.server.streams._memory import Account, Charge, MemoryUse
 from uoarm.server.streams._outbox import Lane, Outbox
 from uoarm.server.streams._pending_feeds import OnAbsent
 
-__all__ = ["MessageForm", "Subscriber", "Subscription", "Throttle", "Write"]
-
 _AGAIN_SECONDS = 1.0
 
 Write: TypeAlias = Callable[[int, Message], bytes]

@@ -19,8 +19,6 @@ from uoarm._support.workers import WorkerPool
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Shares, acting
 
-__all__ = ["CallEnded", "LoopMailbox", "Make", "OpeningTurns", "SharedViews", "Workers", "settle"]
-
 _AT_ONCE = 2
 _YOUNG_SECONDS = 0.02
 _LATE_SECONDS = 0.005

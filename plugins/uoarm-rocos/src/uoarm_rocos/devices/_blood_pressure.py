@@ -35,16 +35,6 @@ from uoarm_rocos._profile import Changed
 from uoarm_rocos._structure import fit
 from uoarm_rocos._transport import LineTransport
 
-__all__ = [
-    "ACCEPTED",
-    "REFUSED",
-    "Measurement",
-    "Monitor",
-    "Ua767Decoder",
-    "blood_pressure_catalogue",
-    "ua767_frame",
-]
-
 ACCEPTED, REFUSED = b"PWA1", b"PWA0"
 _HEADER = 60
 _PAYLOAD = 10

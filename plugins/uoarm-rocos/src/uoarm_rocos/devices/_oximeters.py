@@ -32,25 +32,6 @@ from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._options import Timing
 from uoarm_rocos._transport import LineTransport
 
-__all__ = [
-    "CONTEC_PERIOD",
-    "MARK",
-    "NONIN_1_PERIOD",
-    "NONIN_2_PERIOD",
-    "QUALITIES",
-    "ContecDecoder",
-    "MarkedFrames",
-    "Nonin1Decoder",
-    "Nonin2Decoder",
-    "OximeterDecoder",
-    "StreamDevice",
-    "contec_frame",
-    "nonin1_frame",
-    "nonin2_packet",
-    "oximeter_catalogue",
-    "reading",
-]
-
 QUALITIES = ("good", "weak", "artifact", "searching", "finger-out", "probe-error")
 _NO_NUMBERS = {"searching", "finger-out", "probe-error"}
 _NO_WAVE = {"finger-out", "probe-error"}

@@ -22,8 +22,6 @@ from attrs import frozen
 from uoarm_rocos.devices._blood_pressure import ACCEPTED, REFUSED, Measurement, ua767_frame
 from uoarm_rocos.devices._oximeters import contec_frame, nonin1_frame, nonin2_packet
 
-__all__ = ["FORMATS", "BloodPressureMonitor", "Oximeter", "Person", "Scenario", "VitalSigns"]
-
 _BREATH_HZ, _MAYER_HZ = 0.25, 0.1
 _BREATH_SWING, _MAYER_SWING = 3.0, 2.0
 # Height, place in the beat (radians from -pi to pi) and width of each Gaussian.

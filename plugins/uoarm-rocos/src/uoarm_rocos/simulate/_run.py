@@ -19,8 +19,6 @@ from attrs import frozen
 
 from uoarm.errors import BridgeError
 
-__all__ = ["LineEnd", "LineFaults", "PtyEnd", "Simulated", "TcpEnd", "run"]
-
 _MOST = 65_536
 _WRITE_SECONDS = 1.0
 

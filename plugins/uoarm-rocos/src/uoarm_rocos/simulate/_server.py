@@ -32,8 +32,6 @@ from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._framing import Framer, WireError
 from uoarm_rocos._structure import fit
 
-__all__ = ["Job", "Model", "ProfileServer", "SimulatedRobot", "robot_catalogue"]
-
 _MOST_CONVERSATIONS = 64
 _WRAP = 2**32
 Values: TypeAlias = "dict[str, Any]"

@@ -18,8 +18,6 @@ from typing_extensions import Self
 from uoarm_ros2._middleware._translation import rclpy_errors, server_profile
 from uoarm_ros2._middleware._wait_set import Entity
 
-__all__ = ["GoalEntity", "GoalRequest", "GoalServer", "SharedActionClient"]
-
 _KEPT_SECONDS = 60  # of the result of a goal that has ended
 _FEEDBACK_DEPTH = 10  # as rclpy has it
 _UNKNOWN = 0

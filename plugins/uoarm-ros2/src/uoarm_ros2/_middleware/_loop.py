@@ -21,8 +21,6 @@ from uoarm_ros2._middleware._wait_set import (
     WaitSet,
 )
 
-__all__ = ["QuietWatch", "WaitLoop"]
-
 _WAIT_SECONDS = 10.0
 _CALM_SECONDS = 0.5
 _END_SECONDS = 2.0

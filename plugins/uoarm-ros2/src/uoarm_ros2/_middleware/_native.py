@@ -26,8 +26,6 @@ from rclpy.serialization import serialize_message
 
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = ["publish_released", "take_with_writer", "untyped_class"]
-
 _ERROR_OCTETS = 1024
 _GID_OCTETS = 16
 _NONE_TAKEN = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED

@@ -46,8 +46,6 @@ from uoarm_ros2._middleware._wait_set import (
 )
 from uoarm_ros2._qos import Policies
 
-__all__ = ["NodeRunner"]
-
 _TICK_SECONDS = 0.2
 _GOING = frozenset({FailureReason.UNAVAILABLE, FailureReason.RAISED})
 _AT_ONCE = Duration(seconds=0)

@@ -19,8 +19,6 @@ from uoarm_ros2._installed import installation, wheels
 from uoarm_ros2._middleware._node_runner import NodeRunner
 from uoarm_ros2._options import HIGHEST_DOMAIN
 
-__all__ = ["Participant", "environment"]
-
 _EXIT_SECONDS = 2.0
 _DOMAIN = "ROS_DOMAIN_ID"
 _TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"

@@ -21,16 +21,6 @@ from rclpy.qos import (
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._qos import Policies
 
-__all__ = [
-    "UNNAMED",
-    "Peer",
-    "new_profile",
-    "rclpy_errors",
-    "read_peer",
-    "read_profile",
-    "server_profile",
-]
-
 
 @contextmanager
 def rclpy_errors(what: str) -> Iterator[None]:

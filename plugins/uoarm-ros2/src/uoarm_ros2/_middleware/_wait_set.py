@@ -17,16 +17,6 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
 from uoarm_ros2._middleware._native import take_with_writer
 
-__all__ = [
-    "Entity",
-    "EventEntity",
-    "ReplyEntity",
-    "RequestEntity",
-    "SubscriptionEntity",
-    "WaitSet",
-    "WaitableEntity",
-]
-
 _CLOCK_SECONDS = 0.0001  # by which the middleware's clock may differ from ours
 _KINDS = ("subscription", "client", "service")
 

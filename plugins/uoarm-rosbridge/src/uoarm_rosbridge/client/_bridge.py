@@ -43,8 +43,6 @@ from uoarm_rosbridge.client._options import (
 from uoarm_rosbridge.client._served import AdvertisedAction, AdvertisedService, ServedTypes
 from uoarm_rosbridge.client._types import RosType, read_types, reader, structure_of, writer
 
-__all__ = ["RosbridgeBridge"]
-
 C = TypeVar("C", bound=Channel)
 _FINITE = {"x-nonfinite": False}  # JSON, in which everything is published, has no NaN
 _NOTES = {

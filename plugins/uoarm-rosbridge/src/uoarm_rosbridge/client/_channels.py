@@ -28,16 +28,6 @@ from uoarm_rosbridge.client._connection import Fields, ServerConnection, json_te
 from uoarm_rosbridge.client._options import Port
 from uoarm_rosbridge.client._types import RosType, reader, structure_of, writer
 
-__all__ = [
-    "ParameterSink",
-    "ParameterSource",
-    "TopicSink",
-    "TopicSource",
-    "parameter",
-    "plain",
-    "raw_reader",
-]
-
 Report = Callable[[Channel, Health, str], None]
 
 

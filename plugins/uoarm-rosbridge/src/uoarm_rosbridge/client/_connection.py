@@ -27,8 +27,6 @@ from uoarm.model import BudgetUse, Health
 from uoarm.server.front_end import read_binary, read_text
 from uoarm_rosbridge.client._options import ClientOptions, ServerAccess
 
-__all__ = ["Fields", "ServerConnection", "json_text"]
-
 Fields = Mapping[str, Any]
 
 _STEP_SECONDS = 4.0

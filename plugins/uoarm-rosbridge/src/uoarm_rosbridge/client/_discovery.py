@@ -11,8 +11,6 @@ from uoarm.model import Endpoint, Role
 from uoarm_rosbridge.client._connection import Fields
 from uoarm_rosbridge.client._options import is_type
 
-__all__ = ["discovered"]
-
 _EVERYWHERE = frozenset({"/rosout", "/rosout_agg", "/parameter_events", "/clock"})
 _OF_THE_SERVER = ("rosapi", "rosbridge_websocket")
 _OF_EVERY_NODE = (

@@ -17,8 +17,6 @@ from uoarm.model import Endpoint, Message
 from uoarm_rosbridge.client._connection import ServerConnection
 from uoarm_rosbridge.client._types import RosType, reader, writer
 
-__all__ = ["ActionlibCaller", "ActionlibTypes", "call_action"]
-
 Cancelling = Callable[[Callable[[], object]], AbstractContextManager[None]]
 
 _SUCCEEDED, _CANCELED, _ABORTED = 4, 5, 6

@@ -17,8 +17,6 @@ from uoarm_rosbridge.client._connection import ServerConnection
 from uoarm_rosbridge.client._options import address_of, port_of
 from uoarm_rosbridge.client._types import RosType
 
-__all__ = ["PeerWatch"]
-
 _TICK_SECONDS = 0.25
 _JOIN_SECONDS = 1.0
 

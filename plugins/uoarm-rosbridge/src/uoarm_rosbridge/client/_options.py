@@ -25,19 +25,6 @@ from uoarm.bridge import (
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Endpoint, Options, Role, is_loopback
 
-__all__ = [
-    "Address",
-    "AuthenticationOptions",
-    "ClientOptions",
-    "Port",
-    "ServerAccess",
-    "address_of",
-    "is_type",
-    "mistake",
-    "port_of",
-    "topic_name",
-]
-
 _TEXT: Mapping[str, object] = {"type": "string", "minLength": 1}
 _FILE: Mapping[str, object] = {**_TEXT, "x-uoarm-path": True}
 _SECONDS: Mapping[str, object] = {"type": "number", "minimum": 0, "maximum": 60}

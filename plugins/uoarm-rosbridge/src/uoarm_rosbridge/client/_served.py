@@ -17,8 +17,6 @@ from uoarm_rosbridge.client._channels import Report, plain
 from uoarm_rosbridge.client._connection import Fields, ServerConnection
 from uoarm_rosbridge.client._types import RosType, reader, writer
 
-__all__ = ["AdvertisedAction", "AdvertisedService", "ServedTypes"]
-
 _SUCCEEDED, _CANCELED, _ABORTED = 4, 5, 6
 
 

@@ -22,18 +22,6 @@ from uoarm.cdr import BASIC, FLOAT32_MAX, number_schema
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
 
-__all__ = [
-    "FORMATS",
-    "ArrayOf",
-    "Primitive",
-    "RosShape",
-    "RosType",
-    "read_types",
-    "reader",
-    "structure_of",
-    "writer",
-]
-
 _OF_EACH_ROS = {"bool", "byte", "char"}  # no numbers, or other ones in ROS 1 than in ROS 2
 FORMATS = {kind: code for kind, code in BASIC.items() if code and kind not in _OF_EACH_ROS}
 # As the Python of ROS 2 calls them, and names of old, of which each ROS has another idea.

@@ -11,8 +11,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-__all__ = ["run"]
-
 
 def run(tree: Any, arguments: list[str]) -> None:
     """Write the names of a parsed file; called by omniidl."""
