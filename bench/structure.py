@@ -15,7 +15,8 @@ import statistics
 import subprocess
 import tokenize
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 from bench.tables import print_table
@@ -43,8 +44,9 @@ WORDS = {
 }
 _WORD_OF = {form: word for word, forms in WORDS.items() for form in forms}
 _VAGUE = {"one", "each"}
-_LOOP = re.compile(r"\b(?:one|each)\b[^:=]{0,80}\bin\b")
+_LOOP = re.compile(r"\bfor\b[^:=]{0,80}\b(?:one|each)\b[^:=]{0,80}\bin\b")
 _CLASS = re.compile(r"^class [A-Za-z]", re.MULTILINE)
+_BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
 _ENTRY_POINT = re.compile(r'[\w-]+ = "([\w.]+)(?::\w+)?"$')
 _PARTS = re.compile(r"[A-Z]?[a-z]+")
 _LOWER = re.compile(r"[a-z]+")
@@ -133,15 +135,32 @@ def _module_name(path: Path) -> str:
     return ".".join(part for part in parts[start:] if part != "__init__")
 
 
-def _importers(trees: Mapping[Path, ast.Module]) -> Counter[str]:
+def imports_in(source: str) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Yield every import of a module, those within functions, too."""
+    waiting: list[ast.AST] = [ast.parse(source)]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node
+        for block in _BLOCKS:  # expressions are nine tenths of all nodes, and hold no import
+            waiting.extend(getattr(node, block, ()))
+
+
+@cache
+def imports_of(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    """Return the imports of a file, which is read once."""
+    return tuple(imports_in(path.read_text(encoding="utf-8")))
+
+
+def _importers(paths: Iterable[Path]) -> Counter[str]:
     counts: Counter[str] = Counter()
-    for tree in trees.values():
+    for path in paths:
         modules = set()
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                modules |= {node.module, *(f"{node.module}.{name.name}" for name in node.names)}
-            elif isinstance(node, ast.Import):
+        for node in imports_of(path):
+            if isinstance(node, ast.Import):
                 modules |= {name.name for name in node.names}
+            elif node.module:
+                modules |= {node.module, *(f"{node.module}.{name.name}" for name in node.names)}
         counts.update(modules)
     return counts
 
@@ -166,20 +185,17 @@ def small_modules(root: Path = ROOT) -> Iterator[Path]:
     A door is what three modules import, what a distribution's entry points name, what is public,
     and what defines a name that a public package lists in its `__all__`.
     """
-    trees = {
-        path: ast.parse(path.read_text(encoding="utf-8"))
-        for path in python_files("src", "plugins/*/src", root=root)
-    }
-    importers = _importers(trees)
+    paths = list(python_files("src", "plugins/*/src", root=root))
+    importers = _importers(paths)
     doors = _entry_points(root)
-    for path, tree in trees.items():
+    for path in paths:
         if path.name == "__init__.py" and _is_public(_module_name(path)):
             doors |= {
                 node.module
-                for node in tree.body
-                if isinstance(node, ast.ImportFrom) and node.module
+                for node in imports_of(path)
+                if isinstance(node, ast.ImportFrom) and node.module and not node.col_offset
             }
-    for path in trees:
+    for path in paths:
         name = _module_name(path)
         is_door = _is_public(name) or name in doors or importers[name] > 2
         if is_door or path.name in {"__init__.py", "__main__.py"}:

@@ -6,11 +6,11 @@ import ast
 import re
 import subprocess
 import sys
-from functools import cache
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
-from bench.structure import small_modules
+from bench.structure import imports_in, imports_of, small_modules
 
 import uoarm
 from uoarm.testing import patience
@@ -133,16 +133,9 @@ def _layer(path: Path) -> str:
     return first.removesuffix(".py")
 
 
-@cache
-def _import_nodes(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
-    """Return every import of a module, those within functions, too."""
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    return tuple(node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom))
-
-
 def _imports(path: Path) -> set[str]:
     found: set[str] = set()
-    for node in _import_nodes(path):
+    for node in imports_of(path):
         names: list[str] = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -192,7 +185,7 @@ def _hold_layers_within(whole: str, path: Path) -> None:
     first = path.relative_to(ROOT).parts[1]
     layers = {name: rank for rank, names in enumerate(WITHIN[whole]) for name in names}
     layer = first.removesuffix(".py")
-    for node in _import_nodes(path):
+    for node in imports_of(path):
         module = node.module if isinstance(node, ast.ImportFrom) else None
         if module is not None and module.startswith(f"uoarm.{whole}"):
             _, _, name, *inner = [*module.split("."), "__init__"][: max(3, module.count(".") + 1)]
@@ -212,7 +205,7 @@ def test_the_folders_of_a_package_import_one_way(package: str) -> None:
         for path in sorted(paths):
             found = {
                 f"{node.module}.{alias.name}".split(".")[2]
-                for node in _import_nodes(path)
+                for node in imports_of(path)
                 if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(inside)
                 for alias in node.names
             }
@@ -292,13 +285,13 @@ def _is_inside(parts: list[str]) -> bool:
     return len(parts) > 1 and parts[0] == "server" and parts[1] in inside
 
 
-def _private(source: str) -> set[str]:
+def _private(imports: Iterable[ast.Import | ast.ImportFrom]) -> set[str]:
     """Return what a module of a plugin imports of uoarm that is private."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in imports:
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+        elif node.module is not None:
             names = [f"{node.module}.{alias.name}" for alias in node.names]
         else:
             continue
@@ -317,7 +310,7 @@ def test_a_plugin_imports_what_is_public_only() -> None:
     found = {
         str(path.relative_to(PLUGINS)): names
         for path in modules
-        if (names := _private(path.read_text(encoding="utf-8")))
+        if (names := _private(imports_of(path)))
     }
     assert not found
 
@@ -329,8 +322,9 @@ def test_a_plugin_imports_what_is_public_only() -> None:
      "from uoarm.server import http", "from uoarm import __version__, _origin"],
 )  # fmt: skip
 def test_private_imports_are_found(line: str) -> None:
-    assert _private(line)
-    assert not _private(line.replace("uoarm", "uoarm_ros2").replace("_origin", "errors"))
+    assert _private(imports_in(line))
+    theirs = line.replace("uoarm", "uoarm_ros2").replace("_origin", "errors")
+    assert not _private(imports_in(theirs))
 
 
 # Small modules that stay, each with why; every other one lives with its only importers.

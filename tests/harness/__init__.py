@@ -20,6 +20,7 @@ from tests.harness import _delays, _kit, _leaks, _limits, _needs, _places
 from tests.harness._steps import longest_step, waits
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
+from xdist.workermanage import WorkerController
 
 from uoarm.testing import patience, slowness
 from uoarm.testing._waiting import default_limits
@@ -259,6 +260,16 @@ class Scheduler(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no type
     def _split_scope(self, nodeid: str) -> str:
         module = nodeid.partition("::")[0]
         return module if module in TOGETHER else nodeid
+
+    def mark_test_complete(
+        self, node: WorkerController, item_index: int, duration: float = 0
+    ) -> None:
+        """Forget what is complete, which xdist goes over at the end of each test."""
+        super().mark_test_complete(node, item_index, duration)
+        scope = self._split_scope(self.registered_collections[node][item_index])
+        work = self.assigned_work[node]
+        if all(work[scope].values()):
+            del work[scope]
 
 
 @pytest.hookimpl(optionalhook=True)

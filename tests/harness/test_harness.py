@@ -8,14 +8,16 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import xdist.plugin
-from tests.harness import ORDER, SPARE_WORKERS
+from tests.harness import ORDER, SPARE_WORKERS, Scheduler
 from tests.harness._delays import DELAYS
 from tests.harness._leaks import maker, variables_of
 from tests.harness._needs import MODULES, NEEDS
 from tests.tiers import BY_DEFAULT, NAMES, TIERS
+from xdist.remote import Producer
 
 from uoarm.testing import patience
 
@@ -488,6 +490,25 @@ def test_there_are_more_workers_than_cores_unless_their_number_is_given(
     monkeypatch.delenv("PYTEST_XDIST_AUTO_NUM_WORKERS")
     cores = xdist.plugin.pytest_xdist_auto_num_workers(pytestconfig)
     assert ask(config=pytestconfig) == cores + min(cores, SPARE_WORKERS)
+
+
+def test_the_scheduler_keeps_no_test_that_is_complete(pytestconfig: pytest.Config) -> None:
+    config, worker = Mock(wraps=pytestconfig), Mock(shutting_down=False)
+    config.getvalue = {"tx": ["popen"]}.get
+    config.option.loadscopereorder = False
+    scheduler = Scheduler(config, Producer("test", enabled=False))
+    tests = [f"test_one.py::test_{number}" for number in range(20)]
+    scheduler.add_node(worker)
+    scheduler.add_node_collection(worker, tests)
+    scheduler.schedule()
+    for index, test in enumerate(tests):
+        scheduler.mark_test_complete(worker, index)
+        assert test not in scheduler.assigned_work[worker]
+        assert len(scheduler.assigned_work[worker]) <= 3
+    assert not scheduler.has_pending
+    assert [call.args[0] for call in worker.send_runtest_some.call_args_list] == [
+        [index] for index in range(20)
+    ]
 
 
 def test_whatever_a_tier_or_a_module_needs_is_known() -> None:
