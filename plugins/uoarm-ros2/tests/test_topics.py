@@ -625,6 +625,32 @@ def test_what_is_not_there_says_so(bridge: Bridge, peer: Start) -> None:
     assert found.native_type == INT64
 
 
+def test_what_is_there_with_another_type_or_as_another_kind_is_named(
+    bridge: Bridge, peer: Start
+) -> None:
+    """Of a topic that has only its other end, and of a service in the place of a topic."""
+    talker = peer("talker")
+    talker.do("advertise", topic="/spoken")
+    talker.do("subscribe", topic="/heard")
+    talker.do("serve", name="/served")
+    text, ends = "std_msgs/msg/String", r"std_msgs/msg/Int64 \(/talker\)"
+    for role, topic, words in (
+        (Role.OUTPUT, "/heard", f"/heard has no publisher of type {text}, and subscriptions of"),
+        (Role.INPUT, "/spoken", f"/spoken has no subscription of type {text}, and publishers of"),
+    ):
+        wait(partial(_is_there, bridge, topic))
+        with pytest.raises(BridgeError, match=f"{words} type {ends}"):
+            bridge.describe(endpoint(role, topic, text))
+    with pytest.raises(BridgeError, match=r"; there is a service of that name, of type \w+/srv/"):
+        bridge.describe(endpoint(Role.OUTPUT, "/served", INT64))
+    with pytest.raises(BridgeError, match=f"; there is a topic of that name, of type {INT64};"):
+        bridge.describe(endpoint(Role.SERVICE, "/spoken", "std_srvs/srv/Trigger"))
+
+
+def _is_there(bridge: Bridge, topic: str) -> bool:
+    return any(end.address[0] == topic for found in bridge.discover() for end, _ in found.endpoints)
+
+
 @pytest.mark.parametrize(
     ("address", "options", "words"),
     [

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from difflib import get_close_matches
 from typing import Any
 
@@ -278,7 +278,7 @@ class Ros2Graph:
             return any(not wanted or peer.type == wanted for peer in peers)
 
         if not there() and needed and not self.until(there, self._patience(options)):
-            raise self._missing_peer(name, wanted, role, peers)
+            raise self._missing_peer(name, wanted, role, peers, look_beside(name))
         beside = look_beside(name)
         types = _types((*peers, *beside) if role is Role.OUTPUT else (*beside, *peers))
         if not wanted and len(types) > 1:
@@ -325,7 +325,7 @@ class Ros2Graph:
             raise BridgeTimeoutError(text)
         return False
 
-    def absence(self, what: str, name: str, known: Iterable[str]) -> str:
+    def absence(self, what: str, name: str, known: Collection[str]) -> str:
         """Say that a name is not on the graph, which is near it, and where to look.
 
         Args:
@@ -334,9 +334,25 @@ class Ros2Graph:
             known: names of the same kind that are there.
         """
         near = get_close_matches(name, [text for text in known if text != name], n=1)
-        meant = f"; did you mean {near[0]}?" if near else ""
+        meant = self._other_kind(name, known)
+        if near and not meant:
+            meant = f"; did you mean {near[0]}?"
         domain = self._runner.domain_id
         return f"{what} on the graph of domain {domain}{meant}; `uoarm discover` lists what is"
+
+    def _other_kind(self, name: str, known: Collection[str]) -> str:
+        """Say that something of another kind has a name, with its type; empty: nothing has it."""
+        if name in known:
+            return ""
+        listings = {
+            "topic": self._runner.topics,
+            "service": self._runner.services,
+            "action": self._runner.actions,
+        }
+        for kind, listing in listings.items():
+            if types := listing().get(name):
+                return f"; there is a {kind} of that name, of type {', '.join(types)}"
+        return ""
 
     def servers_named(self) -> list[str]:
         """Return the names of all services and actions on the graph."""
@@ -348,9 +364,16 @@ class Ros2Graph:
         return max(_GRACE_SECONDS, self._formed_at - time.monotonic())
 
     def _missing_peer(
-        self, name: str, wanted: str, role: Role, peers: tuple[Peer, ...]
+        self,
+        name: str,
+        wanted: str,
+        role: Role,
+        peers: tuple[Peer, ...],
+        beside: tuple[Peer, ...],
     ) -> BridgeError:
-        who = "publisher" if role is Role.OUTPUT else "subscription"
+        who, others = "publisher", "subscriptions"
+        if role is Role.INPUT:
+            who, others = "subscription", "publishers"
         if peers:
             text = f"topic {name} has no {who} of type {wanted}, but {_listed(_types(peers))}"
             return BridgeError(text, FailureReason.UNAVAILABLE)
@@ -359,6 +382,8 @@ class Ros2Graph:
         text = f"topic {name} has no {who}"
         if not known:
             text = self.absence(f"topic {name} is not", name, topics)
+        elif wanted and all(peer.type != wanted for peer in beside):
+            text += f" of type {wanted}, and {others} of type {_listed(_types(beside))}"
         if role is Role.INPUT:
             text += "; to publish without a subscription set option peer: optional"
         return BridgeError(text, FailureReason.UNAVAILABLE if known else FailureReason.NOT_FOUND)
