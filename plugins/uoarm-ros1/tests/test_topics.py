@@ -12,7 +12,7 @@ from operator import lt
 from typing import Any
 
 import pytest
-from endpoints import Reports, bridge_to, input_, output
+from endpoints import Reports, bridge_to, input_, output, service
 from peers import Master, Peer
 from ros1_world import large_image, zero
 from uoarm_ros1 import _subscription
@@ -567,6 +567,25 @@ def test_two_nodes_on_one_topic_are_connected_already(master: Master, lasting: P
         lasting.wait_for("count", lambda count: count == 1, topic="/one")
         peer.kill()
         assert reports.wait(Health.LOST).channel is link
+
+
+def test_what_is_there_with_another_type_or_as_another_kind_is_named(
+    master: Master, lasting: Peer
+) -> None:
+    lasting.do("advertise", topic="/spoken", type=INT)
+    lasting.do("subscribe", topic="/heard", type=INT)
+    lasting.do("serve", service="/served", type="std_srvs/SetBool")
+    text = "std_msgs/String"
+    known = f"; it is known as {INT}, not {text}"
+    with bridge_to(master) as bridge:
+        for at, words in (
+            (output("/heard", text), f"no node publishes /heard{known}"),
+            (input_("/spoken", text), f"no node subscribes to /spoken{known}"),
+            (output("/served", text), "/served; there is a service of that name"),
+            (service("/spoken"), f"; there is a topic of that name, of type {INT}"),
+        ):
+            with pytest.raises(BridgeError, match=words):
+                bridge.describe(at)
 
 
 def test_a_bridge_off_loopback_says_where_it_is_reached(master: Master) -> None:

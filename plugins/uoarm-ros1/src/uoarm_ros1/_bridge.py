@@ -233,7 +233,8 @@ class Ros1Bridge(Bridge):
             text = f"{endpoint}: no publisher of {topic} answers: {'; '.join(failures)}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         who = f"node {port.node} does not publish" if port.node else "no node publishes"
-        raise BridgeError(f"{endpoint}: {who} {topic}", FailureReason.NOT_FOUND)
+        text = f"{endpoint}: {who} {topic}{graph.seen_as(topic, address.type)}"
+        raise BridgeError(text, FailureReason.NOT_FOUND)
 
     def _require_peer(
         self, endpoint: Endpoint, topic: str, port: Ros1Options, graph: Graph
@@ -247,7 +248,8 @@ class Ros1Bridge(Bridge):
             subscribers = tuple(name for name in subscribers if name == meant)
         if not subscribers:
             who = f"node {port.node} does not subscribe" if port.node else "no node subscribes"
-            raise BridgeError(f"{endpoint}: {who} to {topic}", FailureReason.NOT_FOUND)
+            seen = graph.seen_as(topic, address_of(endpoint).type)
+            raise BridgeError(f"{endpoint}: {who} to {topic}{seen}", FailureReason.NOT_FOUND)
         if not any(map(graph.is_alive, subscribers)):
             text = (
                 f"{endpoint}: of the subscribers of {topic} none answers: {', '.join(subscribers)}"

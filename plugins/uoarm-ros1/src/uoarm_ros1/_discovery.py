@@ -41,6 +41,13 @@ class Graph:
         """The types of topics."""
         return self._node.master.types()
 
+    def seen_as(self, topic: str, wanted: str) -> str:
+        """Say with which other type than wanted a topic is known, or that it is a service."""
+        if topic in self.state.services:
+            return "; there is a service of that name"
+        kind = self.types.get(topic, "")
+        return f"; it is known as {kind}, not {wanted}" if kind and wanted not in {"", kind} else ""
+
     def is_alive(self, name: str) -> bool:
         """Whether a node answers."""
         if name not in self._alive:

@@ -47,7 +47,9 @@ def probe_service(node: Node, service: str) -> tuple[str, str]:
     except BridgeError as error:
         if error.reason is not FailureReason.REFUSED:
             raise
-        text = f"no node serves {service}: {error}"
+        kind = node.master.types().get(service)
+        topic = f"; there is a topic of that name, of type {kind}" if kind else ""
+        text = f"no node serves {service}: {error}{topic}"
         raise BridgeError(text, FailureReason.NOT_FOUND) from error
     header = service_header(node.name, service, probe=True)
     connection, answer = _open(host, port, service, header, time.monotonic() + _PROBE_SECONDS)
