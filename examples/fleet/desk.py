@@ -11,13 +11,10 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from urllib.error import URLError
-from urllib.request import urlopen
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -35,26 +32,15 @@ _PORTS = (9410, 9411, 9412)
 def vehicle(name: str, port: int) -> Iterator[subprocess.Popen[bytes]]:
     """Serve a vehicle on a port until the end of a block."""
     command = [sys.executable, "-m", "uoarm", "serve", "vehicle.yaml", "--port", str(port)]
-    process = subprocess.Popen(
-        command, cwd=HERE, env={**os.environ, "VEHICLE": name}, stdout=subprocess.DEVNULL
-    )
-    try:
-        _await_server(process, port)
-        yield process
-    finally:
-        process.terminate()
-        process.wait()
-
-
-def _await_server(process: subprocess.Popen[bytes], port: int) -> None:
-    end = time.monotonic() + _LIMIT_SECONDS
-    while time.monotonic() < end and process.poll() is None:
+    environment = {**os.environ, "VEHICLE": name}
+    with subprocess.Popen(command, cwd=HERE, env=environment, stdout=subprocess.PIPE) as process:
         try:
-            with urlopen(f"http://127.0.0.1:{port}/healthz", timeout=1):
-                return
-        except (URLError, OSError):
-            time.sleep(0.1)
-    raise SystemExit(f"the vehicle at port {port} does not answer")
+            # Not what answers at the port: that may be another server, which has taken it.
+            if process.stdout is None or not process.stdout.readline():
+                raise SystemExit(f"the vehicle at port {port} has ended")
+            yield process
+        finally:
+            process.terminate()
 
 
 def configuration(ports: dict[str, int]) -> str:
@@ -81,14 +67,18 @@ class Desk:
         self._boxes = deque(f"box {number}" for number in range(1, BOXES + 1))
         self._changed = threading.Condition()
         self.delivered: dict[str, str] = {}
+        self._is_over = False
 
     def run(self) -> None:
         """Have each vehicle work in a thread of its own; returns when all boxes have arrived."""
         for name in VEHICLES:
             threading.Thread(target=self._work, args=(name,), daemon=True).start()
-        with self._changed:
-            if not self._changed.wait_for(lambda: len(self.delivered) == BOXES, _LIMIT_SECONDS):
-                raise SystemExit(f"only {len(self.delivered)} of {BOXES} boxes arrived")
+        try:
+            with self._changed:
+                if not self._changed.wait_for(lambda: len(self.delivered) == BOXES, _LIMIT_SECONDS):
+                    raise SystemExit(f"only {len(self.delivered)} of {BOXES} boxes arrived")
+        finally:
+            self._is_over = True  # calls under way are cancelled, and no vehicle is lost
 
     def wait_for(self, count: int) -> None:
         """Wait until so many boxes have arrived."""
@@ -108,6 +98,8 @@ class Desk:
                     f"{name}_transport", {"box": box, "metres": METRES}, timeout=20
                 )
             except UoarmError as error:
+                if self._is_over:
+                    return
                 print(f"{name} is lost with {box}: {str(error).splitlines()[-1].strip()}")
                 with self._changed:
                     self._boxes.appendleft(box)  # another one carries it
@@ -143,7 +135,10 @@ def main(*given: int) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    given = sys.argv[1:]
+    if len(given) not in {0, len(VEHICLES)} or not all(map(str.isdecimal, given)):
+        sys.exit(f"usage: desk.py [PORT PORT PORT], not {' '.join(given)}")
     try:
-        main(*map(int, sys.argv[1:]))
+        main(*map(int, given))
     except KeyboardInterrupt:
         sys.exit(130)

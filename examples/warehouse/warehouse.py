@@ -31,6 +31,10 @@ def main() -> int:
         "--duration", type=float, metavar="SECONDS", help="end after so long; with --orders: 1 then"
     )
     options = parser.parse_args()
+    if options.orders is not None and options.orders < 1:
+        parser.error(f"--orders {options.orders}: expected 1 or more")
+    if options.duration is not None and not options.duration > 0:
+        parser.error(f"--duration {options.duration:g}: expected seconds, more than 0")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         return _run(options)

@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from uoarm.testing import patience, wait
 
 WAREHOUSE = Path(__file__).parents[2] / "examples" / "warehouse"
@@ -34,6 +36,19 @@ def test_an_order_is_carried_out_and_everything_ends(tmp_path: Path) -> None:
     pids = [int(pid) for pid in re.findall(r" pid (\d+)", text)]
     assert len(pids) > 9
     assert not [pid for pid in pids if lives(pid)]
+
+
+@pytest.mark.parametrize(
+    "options", [("--orders", "0"), ("--duration", "-1"), ("--orders", "1", "--duration", "nan")]
+)
+def test_an_option_without_a_sense_is_refused_before_anything_is_started(
+    options: tuple[str, ...],
+) -> None:
+    command = [sys.executable, str(WAREHOUSE / "warehouse.py"), *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(), check=False)
+    assert done.returncode == 2
+    assert f"error: {' '.join(options[-2:])}: expected" in done.stderr
+    assert done.stdout == ""
 
 
 def lives(pid: int) -> bool:
