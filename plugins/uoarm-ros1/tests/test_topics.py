@@ -573,13 +573,13 @@ def test_what_is_there_with_another_type_or_as_another_kind_is_named(
     master: Master, lasting: Peer
 ) -> None:
     lasting.do("advertise", topic="/spoken", type=INT)
-    lasting.do("subscribe", topic="/heard", type=INT)
+    lasting.do("subscribe", topic="/taken", type=INT)
     lasting.do("serve", service="/served", type="std_srvs/SetBool")
     text = "std_msgs/String"
     known = f"; it is known as {INT}, not {text}"
     with bridge_to(master) as bridge:
         for at, words in (
-            (output("/heard", text), f"no node publishes /heard{known}"),
+            (output("/taken", text), f"no node publishes /taken{known}"),
             (input_("/spoken", text), f"no node subscribes to /spoken{known}"),
             (output("/served", text), "/served; there is a service of that name"),
             (service("/spoken"), f"; there is a topic of that name, of type {INT}"),

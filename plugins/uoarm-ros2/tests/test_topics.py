@@ -631,11 +631,11 @@ def test_what_is_there_with_another_type_or_as_another_kind_is_named(
     """Of a topic that has only its other end, and of a service in the place of a topic."""
     talker = peer("talker")
     talker.do("advertise", topic="/spoken")
-    talker.do("subscribe", topic="/heard")
+    talker.do("subscribe", topic="/taken")
     talker.do("serve", name="/served")
     text, ends = "std_msgs/msg/String", r"std_msgs/msg/Int64 \(/talker\)"
     for role, topic, words in (
-        (Role.OUTPUT, "/heard", f"/heard has no publisher of type {text}, and subscriptions of"),
+        (Role.OUTPUT, "/taken", f"/taken has no publisher of type {text}, and subscriptions of"),
         (Role.INPUT, "/spoken", f"/spoken has no subscription of type {text}, and publishers of"),
     ):
         wait(partial(_is_there, bridge, topic))
