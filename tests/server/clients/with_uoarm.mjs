@@ -43,6 +43,7 @@ for (const binary of [false, true]) {
   const echo = await robot.request("echo", { queue: { length: 100 } });
   for (let value = 0; value < 20; value++) echo.send({ value });
   for (let value = 0; value < 20; value++) assert.deepEqual(await echo.get(), { value });
+  await refused(echo.get({ timeout: 0.01 }), "timeout");
   await refused(echo.send({ value: 300 }), "message");
   await refused(echo.send({ value: 1 }, "other"), "usage");
   const waiting = echo.get();

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { connect } from "../../../src/uoarm/server/static/uoarm.js";
+import { connect, findTrouble } from "../../../src/uoarm/server/static/uoarm.js";
 
 /** A socket whose other end is the test. */
 class Socket {
@@ -129,4 +129,70 @@ test("a server that sends what is no message is left, with the reason", async ()
     Socket.made.at(-1).onmessage({ data });
     await assert.rejects(refused, { code: "closed" });
   }
+});
+
+test("of a function that is silent it is said what keeps messages from coming", async () => {
+  const connecting = connect("ws://x/", { WebSocket: Socket });
+  const socket = Socket.made.at(-1);
+  const reply = (jsonMessage) => socket.deliver({ op: "Reply", id: socket.sent.at(-1).id, jsonMessage });
+  const isAsked = async (op) => {
+    while (socket.sent.at(-1).op !== op) await new Promise(setImmediate);
+  };
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  const opening = robot.request("numbers");
+  reply({ connection: "c1", inputs: [], warnings: [], number: 0 });
+  const stream = await opening;
+  const lost = { name: "a", health: "lost", cause: "killed" };
+  const status = { connections: [{ id: "c1", components: ["a"], cause: "" }], components: [lost], routes: [] };
+  const refused = "the server could not send the last message: no value";
+
+  let silent = stream.get({ timeout: 0.001 });
+  socket.deliver({ op: "Error", type: "c1", jsonMessage: { code: "message", text: "no value" } });
+  await isAsked("Status");
+  reply(status);
+  await assert.rejects(silent, {
+    code: "timeout", message: `no message within 0.001 s; a is lost: killed; ${refused}`,
+  });
+  assert.deepEqual(stream.trouble, ["a is lost: killed", refused]);
+
+  socket.deliver({ op: "Data", type: "c1", "x-number": 2, jsonMessage: 5 });
+  assert.equal(await stream.get({ timeout: 60 }), 5);
+  assert.deepEqual(stream.trouble, []);
+
+  socket.sent.push({});
+  silent = stream.get({ timeout: 0.001 });
+  await isAsked("Status");
+  socket.deliver({ op: "Data", type: "c1", "x-number": 3, jsonMessage: 6 });
+  reply(status);
+  assert.equal(await silent, 6);
+  await assert.rejects(stream.get({ timeout: 0 }), { code: "timeout", message: "no message within 0 s" });
+
+  const last = stream.get({ timeout: 1e9 });
+  socket.deliver({ op: "Status", type: "connection", jsonMessage: { connection: "c1", state: "closed", cause: "", number: 3 } });
+  assert.equal(await last, undefined);
+  robot.close();
+});
+
+test("trouble of a connection is found as in Python", () => {
+  const connections = [{ id: "c1", components: ["a", "b"], cause: "b has no peer", state: "waiting" }];
+  const components = [
+    { name: "a", health: "degraded", cause: "", last_error: "it raised" },
+    { name: "b", health: "ok" },
+    { name: "other", health: "lost", cause: "killed" },
+  ];
+  const routes = [
+    { producer: "a.out", consumer: "c1", refusal: "no number" },
+    { producer: "a.out", consumer: "b.in", refusal: "" },
+    { producer: "a.out", consumer: "b.in", refusal: "too long" },
+    { producer: "a.out", consumer: "b.in", refusal: "it raised" },
+    { producer: "a.out", consumer: "other.in", refusal: "wrong" },
+  ];
+  assert.deepEqual(findTrouble({ connections, components, routes }, "c1"), [
+    "the connection is waiting: b has no peer",
+    "a is degraded: it raised",
+    "the last message of a.out -> c1 was refused: no number",
+    "the last message of a.out -> b.in was refused: too long",
+  ]);
+  assert.deepEqual(findTrouble({ connections, components, routes }, "c2"), []);
 });

@@ -48,9 +48,14 @@ export class Stream<T = Message> implements AsyncIterable<T> {
   readonly state: "open" | "closed" | "finished" | "failed";
   /** Why it ended; empty while it is open, and where this client gave it back. */
   readonly cause: string;
+  /** What kept messages from coming when `get` last ran out of time; empty from the next one on. */
+  readonly trouble: readonly string[];
   [Symbol.asyncIterator](): AsyncIterator<T, undefined>;
-  /** The next message, or undefined when no more will come; rejects when the function failed. */
-  get(): Promise<T | undefined>;
+  /**
+   * The next message, or undefined when no more will come; rejects when the function failed, and
+   * with the code `timeout` where none came in `timeout` seconds; see `trouble`.
+   */
+  get(options?: { timeout?: number }): Promise<T | undefined>;
   /** Seconds for which a command lives, by input; of those that have a lifetime. */
   readonly lifetimes: Readonly<Record<string, number>>;
   /** Hand one message to an input; resolves when the server has taken it. */
@@ -138,6 +143,9 @@ export interface ConnectOptions {
   /** A WebSocket class, where there is no global one. */
   WebSocket?: new (url: string, protocols: string[]) => unknown;
 }
+
+/** What keeps messages of a connection from coming, of what `status` gave; see `Stream.trouble`. */
+export function findTrouble(status: Record<string, unknown>, connection: string): string[];
 
 /** Connect to a server; rejects with a UoarmError when it refuses or is not there. */
 export function connect(url: string, options?: ConnectOptions): Promise<Robot>;

@@ -5,6 +5,8 @@ import { Link, UoarmError, seconds } from "./uoarm-link.js";
 export { UoarmError };
 
 const HELD = 1024;
+const DIAGNOSIS_SECONDS = 1;
+const LONGEST_TIMER = 2 ** 31 - 1; // of more milliseconds it ends at once
 const NO_SOCKET =
   "there is no WebSocket here: Node.js has it from version 22 on, from 20.10 on with " +
   "--experimental-websocket; or give connect a class, { WebSocket }";
@@ -34,13 +36,37 @@ class Mailbox {
     for (const reader of this.#readers.splice(0)) this.#settle(reader);
   }
 
-  next() {
+  get isEmpty() {
+    return !this.#waiting.length && !this.#end;
+  }
+
+  /** The next item; undefined where none came in so many seconds. */
+  next(timeout = Infinity) {
     return new Promise((resolve, reject) => {
       const reader = { resolve, reject };
       if (this.#waiting.length) resolve({ value: this.#waiting.shift(), done: false });
       else if (this.#end) this.#settle(reader);
-      else this.#readers.push(reader);
+      else {
+        this.#readers.push(reader);
+        if (timeout < Infinity) this.#limit(reader, timeout);
+      }
     });
+  }
+
+  #limit(reader, timeout) {
+    const { resolve, reject } = reader;
+    const timer = setTimeout(() => {
+      this.#readers.splice(this.#readers.indexOf(reader), 1);
+      resolve();
+    }, Math.min(timeout * 1000, LONGEST_TIMER));
+    reader.resolve = (item) => {
+      clearTimeout(timer);
+      resolve(item);
+    };
+    reader.reject = (error) => {
+      clearTimeout(timer);
+      reject(error);
+    };
   }
 
   #settle({ resolve, reject }) {
@@ -97,6 +123,8 @@ export class HeldCommand {
 /** One open function: `for await`, `send`, `hold`, `stop`, `kill`. */
 export class Stream {
   #ask;
+  #diagnose;
+  #refusal = "";
   #mailbox = new Mailbox();
   #last; // the number of the last message that came or is lost
   #away = true;
@@ -104,11 +132,13 @@ export class Stream {
   gaps = -1;
   state = "open";
   cause = "";
+  trouble = [];
 
   /** `request` opens it: of this server, and of the one after a restart. */
-  constructor(request, ask) {
+  constructor(request, ask, diagnose) {
     this.request = request;
     this.#ask = ask;
+    this.#diagnose = diagnose;
   }
 
   /** Is a connection of this server from now on; the first time, or after a gap. */
@@ -131,9 +161,24 @@ export class Stream {
     } };
   }
 
-  /** The next message, or undefined when no more will come. */
-  async get() {
-    return (await this.#mailbox.next()).value;
+  /**
+   * The next message, or undefined when no more will come. Where none came in `timeout` seconds it
+   * rejects, and `trouble` says what keeps messages from coming, as far as the server says it soon.
+   */
+  async get({ timeout } = {}) {
+    let item = await this.#mailbox.next(timeout ?? Infinity);
+    if (item === undefined) {
+      const trouble = timeout > 0 ? await this.#diagnose(this.connection) : [];
+      if (this.#mailbox.isEmpty) {
+        const last = `the server could not send the last message: ${this.#refusal}`;
+        this.trouble = this.#refusal ? [...trouble, last] : trouble;
+        const text = [`no message within ${timeout} s`, ...this.trouble].join("; ");
+        throw new UoarmError("timeout", text);
+      }
+      item = await this.#mailbox.next(); // it came meanwhile
+    }
+    this.trouble = [];
+    return item.value;
   }
 
   /** Hand one message to an input; resolves when the server has taken it. */
@@ -196,8 +241,14 @@ export class Stream {
     if (this.#mailbox.put(message)) this.lost += 1;
   }
 
+  /** Take in that the server had a message that it could not write. */
+  refuse(why) {
+    this.#refusal = why;
+  }
+
   /** Count what is missing up to a message, of which none will come any more. */
   settle(number) {
+    if (number > this.#last) this.#refusal = ""; // it was of one of these
     this.lost += number - (this.#last ?? number);
     this.#last = number;
   }
@@ -238,6 +289,28 @@ export function mergeStatus(known, { since, elapsed, ...received }) {
     status[part] = [...entries.values()];
   }
   return status;
+}
+
+/**
+ * What keeps messages of a connection from coming, of the whole status: for what it waits, which of
+ * its components is not well, and why the last message between them was not taken.
+ */
+export function findTrouble({ connections = [], components = [], routes = [] }, connection) {
+  const own = connections.find(({ id }) => id === connection);
+  if (!own) return [];
+  const names = new Set(own.components);
+  const causes = own.cause ? [`the connection is ${own.state}: ${own.cause}`] : [];
+  for (const { name, health, cause, last_error: last } of components) {
+    if (names.has(name) && health !== "ok") causes.push(`${name} is ${health}: ${cause || last}`);
+  }
+  for (const { producer, consumer, refusal } of routes) {
+    const component = consumer.slice(0, Math.max(0, consumer.lastIndexOf(".")));
+    const isOwn = consumer === connection || names.has(component);
+    if (isOwn && refusal && !causes.some((text) => text.includes(refusal))) {
+      causes.push(`the last message of ${producer} -> ${consumer} was refused: ${refusal}`);
+    }
+  }
+  return causes;
 }
 
 /** A robot behind a server; made by `connect`. */
@@ -390,6 +463,17 @@ export class Robot {
     this.#link.close();
   }
 
+  /** What keeps messages from coming, as far as the server says so at once. */
+  async #diagnose(connection) {
+    let timer;
+    const late = new Promise((resolve) => {
+      timer = setTimeout(resolve, DIAGNOSIS_SECONDS * 1000, {});
+    });
+    const status = await Promise.race([this.status().catch(() => ({})), late]);
+    clearTimeout(timer);
+    return findTrouble(status, connection);
+  }
+
   #ask(fields, stream = null) {
     if (this.#ended) return Promise.reject(this.#ended);
     const id = String(this.#next++);
@@ -421,11 +505,14 @@ export class Robot {
   #takeAnswer(op, type, id, message) {
     const asked = this.#asked.get(id);
     this.#asked.delete(id);
+    if (op === "Error" && id === undefined) this.#streams.get(type)?.refuse(message.text);
     if (!asked) return;
     if (op === "Error") asked.reject(new UoarmError(message.code, message.text));
     else if (asked.fields.op === "Request") {
       // Made here, since the first message may follow before the caller has woken.
-      const stream = asked.stream ?? new Stream(asked.fields, (fields) => this.#ask(fields));
+      const stream = asked.stream ?? new Stream(
+        asked.fields, (fields) => this.#ask(fields), (connection) => this.#diagnose(connection),
+      );
       stream.open(message);
       this.#away.delete(stream);
       this.#streams.set(stream.connection, stream);
