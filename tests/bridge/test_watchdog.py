@@ -8,13 +8,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from uoarm.bridge import Bridge, HealthEvent, Sink, Source
+from uoarm.bridge import HealthEvent, Sink
 from uoarm.bridge._watchdog import Watchdog
 from uoarm.errors import CommandRefusedError
 from uoarm.model import (
     CommandPhase,
     CommandPolicy,
-    Deliver,
     Endpoint,
     Health,
     Message,
@@ -22,7 +21,7 @@ from uoarm.model import (
     Role,
     StopMessage,
 )
-from uoarm.testing import Background, patience, wait
+from uoarm.testing import Background, MemoryBridge, patience, wait
 
 ANY = MessageStructure({})
 STOP, GO = {"v": 0.0}, {"v": 0.5}
@@ -31,11 +30,11 @@ POLICY = CommandPolicy(LIFETIME, StopMessage(STOP))
 ENDPOINT = Endpoint("b", "base", Role.INPUT, ("x",), command=POLICY)
 
 
-class Base(Bridge):
+class Base(MemoryBridge):
     """Takes messages, hangs in the sending of a command, or refuses the stop, as the test says."""
 
     def __init__(self, *, parallel: bool = False) -> None:
-        super().__init__("b", {})
+        super().__init__("b")
         self.taken: list[Message] = []
         self.parallel = parallel
         self.hang: threading.Event | None = None
@@ -43,11 +42,6 @@ class Base(Bridge):
         self.in_send = threading.Event()
         self.was_closed_after: list[Message] = []
         self.drained: list[list[Message]] = []
-
-    def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Source:
-        raise NotImplementedError
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         def send(message: Message) -> None:
@@ -68,9 +62,6 @@ class Base(Bridge):
         sink = Buffered(endpoint, send, lambda: self.was_closed_after.extend(self.taken))
         sink.parallel = self.parallel
         return sink
-
-    def _close(self) -> None:
-        pass
 
 
 @pytest.fixture

@@ -17,10 +17,10 @@ from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender
 from uoarm._host.transport.keys import flow
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.transport import Transport
-from uoarm.bridge import Bridge, Sink, Source
+from uoarm.bridge import Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, MessageStructure, Role
-from uoarm.testing import Background, patience, wait
+from uoarm.testing import Background, MemoryBridge, patience, wait
 
 Ends = tuple[Transport, Transport]
 
@@ -320,11 +320,11 @@ def test_a_message_counts_as_taken_from_when_something_comes_of_it(
     onward.close()
 
 
-class _Calls(Bridge):
+class _Calls(MemoryBridge):
     """A framework that goes on calling back when its source is closed."""
 
     def __init__(self) -> None:
-        super().__init__("calls", {})
+        super().__init__("calls")
         self.deliver: Deliver = lambda _: None
 
     def _open_source(
@@ -332,12 +332,6 @@ class _Calls(Bridge):
     ) -> Source:
         self.deliver = deliver
         return Source(endpoint, lambda: deliver("as it closes"))
-
-    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
-        raise NotImplementedError
-
-    def _close(self) -> None:
-        pass
 
 
 def test_what_a_framework_hands_over_when_its_source_is_closed_counts_as_taken(

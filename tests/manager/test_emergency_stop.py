@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from uoarm import AsyncRobotManager, RobotManager
-from uoarm.bridge import Bridge, Description, Registry, Sink, Source
+from uoarm.bridge import Description, Registry, Sink
 from uoarm.config import loads
 from uoarm.errors import BridgeError, CommandRefusedError
-from uoarm.model import Deliver, Endpoint, Message, MessageStructure, to_json
-from uoarm.testing import Background, patience, wait
+from uoarm.model import Endpoint, Message, MessageStructure, to_json
+from uoarm.testing import Background, MemoryBridge, patience, wait
 
 ROBOT = """
 version: 1
@@ -37,11 +37,11 @@ functions:
 """
 
 
-class Motors(Bridge):
+class Motors(MemoryBridge):
     """Motors that take numbers; one in `broken` takes none, one in `hanging` does not return."""
 
     def __init__(self) -> None:
-        super().__init__("motors", {})
+        super().__init__("motors")
         self.taken: dict[str, list[Message]] = {}
         self.broken: set[str] = set()
         self.hanging: set[str] = set()
@@ -53,11 +53,6 @@ class Motors(Bridge):
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return Description(MessageStructure({"type": "number"}))
-
-    def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Source:
-        raise NotImplementedError
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         name = endpoint.component

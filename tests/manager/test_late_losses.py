@@ -56,11 +56,11 @@ CAMERA = """
 """
 
 
-class Calls(Bridge):
+class Calls(MemoryBridge):
     """A framework that answers a message as its input is closed, and goes on calling back."""
 
     def __init__(self) -> None:
-        super().__init__("one", {})
+        super().__init__("one")
         self.deliver: Deliver = lambda _: None
 
     def _open_source(
@@ -71,9 +71,6 @@ class Calls(Bridge):
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         return Sink(endpoint, lambda _: None, lambda: self.deliver("answer"))
-
-    def _close(self) -> None:
-        pass
 
 
 class Hasty(Calls):

@@ -11,18 +11,15 @@ import pytest
 from uoarm import RobotManager
 from uoarm.bridge import (
     Bridge,
-    Capabilities,
     Description,
     Registry,
     ServiceStructures,
-    Sink,
-    Source,
 )
 from uoarm.bridge._services import CallsUnderWay, CallUnderWay
 from uoarm.config import loads
 from uoarm.errors import BridgeError, BridgeTimeoutError, CommandRefusedError, ConfigurationError
-from uoarm.model import Deliver, Endpoint, Message, MessageStructure, StopReport
-from uoarm.testing import Background, patience, wait
+from uoarm.model import Endpoint, Message, MessageStructure, StopReport
+from uoarm.testing import Background, MemoryBridge, patience, wait
 
 ROBOT = """
 version: 1
@@ -34,13 +31,11 @@ functions:
 """
 
 
-class Arms(Bridge):
+class Arms(MemoryBridge):
     """Services that answer when they are let go; `arm` and `hand` can be cancelled."""
 
-    capabilities = Capabilities(call=True)
-
     def __init__(self) -> None:
-        super().__init__("arms", {})
+        super().__init__("arms")
         self.go_on = threading.Event()
         self.called = {name: threading.Event() for name in ("arm", "hand", "head")}
         self.cancelled: list[str] = []
@@ -49,14 +44,6 @@ class Arms(Bridge):
     def _describe(self, endpoint: Endpoint) -> Description:
         number = MessageStructure({"type": "number"})
         return Description(request=number, reply=number)
-
-    def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Source:
-        raise NotImplementedError
-
-    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
-        raise NotImplementedError
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float

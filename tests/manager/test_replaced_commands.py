@@ -10,9 +10,9 @@ import pytest
 from uoarm import RobotManager
 from uoarm._control.live.parts import Ending
 from uoarm._parts import LiveComponent
-from uoarm.bridge import Bridge, Description, Registry, Sink, Source
+from uoarm.bridge import Description, Registry, Sink
 from uoarm.config import loads
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
+from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm.testing import Background, MemoryBridge, patience, wait
 
 ROBOT = """
@@ -28,11 +28,11 @@ functions:
 SETTINGS = "lifetime: 3600, stop: {message: 0}"
 
 
-class Motors(Bridge):
+class Motors(MemoryBridge):
     """Motors that note what they take, all in one list, and are let go late."""
 
     def __init__(self) -> None:
-        super().__init__("motors", {})
+        super().__init__("motors")
         self.taken: list[tuple[str, Message]] = []
         self.opened: list[str] = []
         self.may_close = threading.Event()
@@ -43,11 +43,6 @@ class Motors(Bridge):
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return Description(MessageStructure({"type": "number"}))
-
-    def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Source:
-        raise NotImplementedError
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         name = endpoint.component

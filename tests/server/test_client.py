@@ -29,14 +29,9 @@ from uoarm import (
     UsageError,
 )
 from uoarm.bridge import (
-    Bridge,
-    Capabilities,
-    Delivery,
     Description,
     Registry,
     ServiceStructures,
-    Sink,
-    Source,
 )
 from uoarm.client import RemoteRobot, RemoteStream, ServerError, connect
 from uoarm.config import loads
@@ -48,7 +43,7 @@ from uoarm.server import (
     hash_token,
     serve_in_thread,
 )
-from uoarm.testing import patience, wait
+from uoarm.testing import MemoryBridge, patience, wait
 
 Work = Callable[[RemoteRobot], Awaitable[None]]
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
@@ -258,27 +253,17 @@ def test_a_request_that_is_given_up_in_the_turn_of_its_answer_is_given_back(
     run(server, work)
 
 
-class Reaching(Bridge):
+class Reaching(MemoryBridge):
     """A bridge whose one service can be cancelled, and ends in no other way."""
 
-    capabilities = Capabilities(call=True)
-
     def __init__(self) -> None:
-        super().__init__("arm", {})
+        super().__init__("arm")
         self.called, self.over = threading.Event(), threading.Event()
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return Description(
             request=MessageStructure(schema=True), reply=MessageStructure(schema=True)
         )
-
-    def _open_source(
-        self, endpoint: Endpoint, structure: MessageStructure, deliver: Delivery
-    ) -> Source:
-        raise NotImplementedError
-
-    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
-        raise NotImplementedError
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
