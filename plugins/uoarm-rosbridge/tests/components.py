@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
-from typing import Annotated, TypedDict
+from typing import TypedDict
 
-from uoarm.local import Emit, Range
-from uoarm.testing import Script, patience
+from tests.server.robot import (  # type: ignore[import-not-found] # noqa: F401 - named in the text
+    Number,
+    add,
+    broken,
+    double,
+    echo,
+    numbers,
+    picture,
+    script,
+    slow,
+)
+
+from uoarm.local import Emit
 
 CONFIGURATION = """
 version: 1
@@ -63,26 +73,6 @@ functions:
           result: {endpoint: ["components:Walker"], structure: {type: object}}
 """
 
-Small = Annotated[int, Range(0, 255)]
-
-
-class Number(TypedDict):
-    value: int
-
-
-class Narrow(TypedDict):
-    value: Small
-
-
-class Picture(TypedDict):
-    width: int
-    data: bytes
-
-
-class Pair(TypedDict):
-    a: float
-    b: float
-
 
 class Typed(TypedDict):
     data: int
@@ -95,64 +85,11 @@ class GoalId(TypedDict):
     goal_id: str
 
 
-END = Script.END
-
-
-class Play:
-    """What the sources emit, and what holds up who waits for the test."""
-
-    def __init__(self) -> None:
-        self.gate = threading.Event()
-        self.numbers = Script()
-        self.pictures = Script()
-        self.cancelled: list[str] = []
-
-    def reset(self) -> None:
-        self.gate = threading.Event()
-        self.numbers.reset()
-        self.pictures.reset()
-        self.cancelled = []
-
-    def put(self, *items: object) -> None:
-        """Play pictures and numbers, each where they belong."""
-        for item in items:
-            is_picture = isinstance(item, dict) and "width" in item
-            (self.pictures if is_picture else self.numbers).put(item)
-
-    def release(self) -> None:
-        self.gate.set()
-        self.reset()
-        self.gate.set()
-
-
-script = Play()
-numbers = script.numbers.source(Number)
-picture = script.pictures.source(Picture)
-
-
-def double(message: Number) -> Number:
-    return {"value": 2 * message["value"]}
-
-
-def echo(message: Narrow) -> Narrow:
-    return message
+cancelled: list[str] = []
 
 
 def typed(message: Typed) -> Typed:
     return message
-
-
-def add(message: Pair) -> Number:
-    return {"value": int(message["a"] + message["b"])}
-
-
-def slow(message: Number) -> Number:
-    script.gate.wait(patience())
-    return message
-
-
-def broken(message: Number) -> Number:
-    raise ValueError(f"cannot do {message['value']}")
 
 
 class Walker:
@@ -187,7 +124,7 @@ class Walker:
             yield Emit("status", {**goal, "status": "succeeded"})
 
     def cancel(self, message: GoalId) -> Iterator[Emit]:
-        script.cancelled.append(message["goal_id"])
+        cancelled.append(message["goal_id"])
         result = {"walked": 0}
         yield Emit(
             "result", {"goal_id": message["goal_id"], "status": "canceled", "result": result}

@@ -14,9 +14,10 @@ from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
-from components import CONFIGURATION, script
+from components import CONFIGURATION, cancelled
 from played import ANSWERS, Played
 from ros import Enter, Ros, Serve, url
+from tests.server.robot import script  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -40,6 +41,7 @@ settings.load_profile(f"rosbridge-{os.environ.get('HYPOTHESIS_PROFILE', 'short')
 @pytest.fixture
 def robot() -> Iterator[RobotManager]:
     script.reset()
+    cancelled.clear()
     manager = RobotManager(loads(CONFIGURATION, origin=str(Path(__file__).parent / "robot.yaml")))
     yield manager
     script.release()

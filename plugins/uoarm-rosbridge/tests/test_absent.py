@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import components
 import pytest
-from components import numbers
 from ros import Enter, Ros, Serve, eventually, opened, url
+from tests.server.robot import numbers, script  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.server import Limits
@@ -35,16 +35,16 @@ def test_a_subscriber_before_its_publisher_waits(
         assert reports["msg"].endswith("; it is waited for")
     appear()
     opened(robot, 1)
-    components.script.put({"value": 7})
+    script.put({"value": 7})
     assert early.messages(1) == other.messages(1) == [{"value": 7}]
 
 
 def test_a_provider_that_failed_is_waited_for(enter: Enter, robot: RobotManager) -> None:
     def fail(count: int) -> None:
-        components.script.put({"value": count}, ValueError("broken"))
+        script.put({"value": count}, ValueError("broken"))
 
     def opened_again(count: int) -> None:
-        eventually(lambda: components.script.numbers.started > count, "it is open again")
+        eventually(lambda: script.numbers.started > count, "it is open again")
 
     client = enter()
     client.send(op="subscribe", topic="/uoarm/numbers")
@@ -59,7 +59,7 @@ def test_a_provider_that_failed_is_waited_for(enter: Enter, robot: RobotManager)
     fail(2)
     assert client.messages(1) == [{"value": 2}]
     opened_again(2)
-    components.script.put({"value": 3})
+    script.put({"value": 3})
     assert client.messages(1) == [{"value": 3}], "the same is reported once"
 
 

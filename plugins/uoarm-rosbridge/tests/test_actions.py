@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from components import Walker, script
+from components import Walker, cancelled
 from ros import Enter, Ros, Serve, end, eventually, url
+from tests.server.robot import script  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.server import Limits, Server
@@ -141,7 +142,7 @@ def test_a_client_that_goes_cancels_its_goals_and_closes_the_function(
         send(client, {"value": 0})
         send(client, {"value": 1}, id="h")
         assert result(client)["id"] == "h"
-    eventually(lambda: script.cancelled == ["goal 1"], "its goal is cancelled")
+    eventually(lambda: cancelled == ["goal 1"], "its goal is cancelled")
     eventually(lambda: not robot.status().connections, "the function is closed")
 
 

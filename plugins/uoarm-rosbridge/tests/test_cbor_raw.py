@@ -11,8 +11,8 @@ import time
 from typing import Any
 
 import pytest
-from components import script
 from ros import Enter, opened
+from tests.server.robot import script  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.model import MessageStructure

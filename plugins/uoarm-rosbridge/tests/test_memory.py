@@ -7,8 +7,8 @@ import threading
 import urllib.request
 
 import pytest
-from components import script
 from ros import Enter, Ros, Serve, eventually, frame, open_socket, opened, url
+from tests.server.robot import script  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.server import Limits, Server

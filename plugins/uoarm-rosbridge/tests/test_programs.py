@@ -9,15 +9,12 @@ import os
 import shutil
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import pytest
-from components import script
-from ros import eventually
+from tests.server.programs import PLAYED, run  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
-from uoarm.model import ConnectionState
 from uoarm.server import Server
 from uoarm.testing import patience
 
@@ -25,46 +22,10 @@ CLIENTS = Path(__file__).parent / "clients"
 ROSLIB = os.environ.get("UOARM_ROSLIB", "")
 
 
-def run(command: list[str], robot: RobotManager, *, pictures: int = 1) -> None:
-    """Run a program, playing to it what it waits for, one picture after another.
-
-    What is played is for a connection that is new, and the only one: a former one of the function,
-    which the program has given back, would take it, too.
-    """
-    met: set[str] = set()
-
-    def opened(function: str) -> bool:
-        if process.poll() is not None:
-            pytest.fail(f"it ended with {process.returncode}:\n{process.communicate()[0]}")
-        states = {
-            connection.id: connection.state
-            for connection in robot.status().connections
-            if connection.function == function
-        }
-        if met.isdisjoint(states) and list(states.values()) == [ConnectionState.RUNNING]:
-            met.update(states)
-            return True
-        return False
-
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
-        try:
-            eventually(partial(opened, "doubled"), "it listens to numbers")
-            script.put(*({"value": value} for value in (1, 2, 3)))
-            for _ in range(pictures):
-                eventually(partial(opened, "picture"), "it listens to pictures")
-                script.put({"width": 16, "data": bytes(range(256))})
-            out, _ = process.communicate(timeout=patience())
-        finally:
-            process.kill()
-    assert process.returncode == 0, out
-    assert out.strip().endswith("done"), out
-
-
 def test_roslibpy(server: Server, robot: RobotManager) -> None:
     url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
-    run([sys.executable, str(CLIENTS / "with_roslibpy.py"), url], robot)
+    out = run([sys.executable, str(CLIENTS / "with_roslibpy.py"), url], robot, PLAYED)
+    assert out.strip().endswith("done"), out
 
 
 @pytest.fixture(scope="module")
@@ -85,4 +46,5 @@ def roslib(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_roslib(server: Server, robot: RobotManager, roslib: str) -> None:
     url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
     command = ["node", str(CLIENTS / "with_roslib.mjs"), url, roslib, str(patience())]
-    run(command, robot, pictures=3)
+    out = run(command, robot, ["doubled", *["picture"] * 3])
+    assert out.strip().endswith("done"), out

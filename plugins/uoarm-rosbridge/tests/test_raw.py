@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from components import script
 from hypothesis import given
 from hypothesis import strategies as st
 from played import TALK, Played, bridge_to
 from ros import Serve, url
+from tests.server.robot import script  # type: ignore[import-not-found]
 from uoarm_rosbridge.client._channels import raw_reader
 from uoarm_rosbridge.client._types import RosType, read_types, structure_of
 from websockets.sync.server import ServerConnection

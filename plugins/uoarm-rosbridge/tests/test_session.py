@@ -11,10 +11,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 import pytest
-from components import END, script
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ros import Enter, Ros, Serve, end, eventually, opened, url
+from tests.server.robot import END, script  # type: ignore[import-not-found]
 from uoarm_rosbridge._wire import Fragments
 
 from uoarm import RobotManager
