@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 from ros import eventually
+from suites import HEIGHT, WIDTH, EitherSuite, at, is_there, made, stream
 
-from uoarm.bridge import Bridge, Registry
+from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
-from uoarm.model import BridgeSpec, Endpoint, Message, MessageStructure, Role
+from uoarm.model import Endpoint, Message, Role
 from uoarm.testing import Background, Collector, patience
 
 ADDRESS = os.environ.get("UOARM_ROSBRIDGE_SUITE", "")
@@ -27,7 +28,6 @@ pytestmark = pytest.mark.skipif(
     not ADDRESS or find_spec("rclpy") is None,
     reason="no rosbridge_suite: UOARM_ROSBRIDGE_SUITE=ws://HOST:PORT, and rclpy, are needed",
 )
-WIDTH, HEIGHT = 64, 48
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -42,29 +42,15 @@ def _node() -> Iterator[None]:
 
 @pytest.fixture
 def bridge() -> Iterator[Bridge]:
-    options = {"url": ADDRESS, "check": 0.2, "wait": min(patience(), 60)}
-    made = Registry().create(BridgeSpec("far", "rosbridge", options))
-    eventually(lambda: is_there(made, at(Role.OUTPUT, "/behind/scan")), "the node is there")
-    yield made
-    made.close()
+    bridge = made(ADDRESS)
+    eventually(lambda: is_there(bridge, at(Role.OUTPUT, "/behind/scan")), "the node is there")
+    yield bridge
+    bridge.close()
 
 
-def at(role: Role, *address: str, **options: object) -> Endpoint:
-    return Endpoint("far", "behind", role, address, options=options)
-
-
-def is_there(bridge: Bridge, endpoint: Endpoint) -> bool:
-    try:
-        bridge.describe(endpoint)
-    except BridgeError:
-        return False
-    return True
-
-
-def stream(bridge: Bridge, endpoint: Endpoint) -> MessageStructure:
-    structure = bridge.describe(endpoint).message
-    assert structure is not None
-    return structure
+class TestSuite(EitherSuite):
+    set_bool = "std_srvs/srv/SetBool"
+    parameter = "/behind:speed"
 
 
 def schema_of(bridge: Bridge, endpoint: Endpoint) -> Any:
@@ -82,8 +68,7 @@ def test_types_are_those_of_ros_2_and_stay_the_same(bridge: Bridge) -> None:
 
 @pytest.mark.parametrize("compression", ["cbor", "cbor-raw", "none"])
 def test_messages_come_with_their_types(compression: str) -> None:
-    options = {"url": ADDRESS, "wait": min(patience(), 60), "compression": compression}
-    bridge = Registry().create(BridgeSpec("far", "rosbridge", options))
+    bridge = made(ADDRESS, compression=compression)
     pictures, scans = Collector(), Collector()
     for name, to in (("picture", pictures), ("scan", scans)):
         source = at(Role.OUTPUT, f"/behind/{name}")
@@ -98,38 +83,6 @@ def test_messages_come_with_their_types(compression: str) -> None:
     last = [np.nan, np.nan] if compression == "none" else [np.inf, np.nan]
     assert np.array_equal(scan["ranges"], np.array([0.5, *last], np.float32), equal_nan=True)
     bridge.close()
-
-
-def test_what_is_sent_comes_back_in_order(bridge: Bridge) -> None:
-    asked, echoed = at(Role.INPUT, "/behind/asked"), at(Role.OUTPUT, "/behind/echoed")
-    collector = Collector()
-    structure = stream(bridge, asked)
-    bridge.open_source(echoed, structure, collector.deliver)
-    sink = bridge.open_sink(asked, structure)
-
-    def has_come() -> bool:  # ROS connects nodes in its own time, of which rosbridge says nothing
-        sink.send({"data": "first"})
-        return bool(collector.messages)
-
-    eventually(has_come, "the topics are connected")
-    sent: list[Message] = [{"data": f"Kia ora ä {number}"} for number in range(200)]
-    for message in sent:  # one at a time: of a burst the server loses some, and does not say so
-        sink.send(message)
-        eventually(lambda message=message: collector.messages[-1] == message, "it comes")  # type: ignore[misc]
-    assert [message for message in collector.messages if message != {"data": "first"}] == sent
-    assert sink.drain(patience())
-
-
-def test_services_are_called_and_served(bridge: Bridge) -> None:
-    for data in (True, False):
-        reply = bridge.call(at(Role.SERVICE, "/behind/set"), {"data": data})
-        assert reply == {"success": data, "message": f"data is {data}"}
-    offered = at(Role.SERVICE, "/ours/set", "std_srvs/srv/SetBool", peer="optional")
-    channel = bridge.serve(offered, lambda request: {"success": request["data"], "message": "ours"})
-    called = at(Role.SERVICE, "/ours/set")
-    eventually(lambda: is_there(bridge, called), "the service is there")
-    assert bridge.call(called, {"data": True}) == {"success": True, "message": "ours"}
-    channel.close()
 
 
 def test_a_call_that_lasts_holds_up_no_message(bridge: Bridge) -> None:
@@ -179,17 +132,6 @@ def test_a_function_answers_goals(bridge: Bridge) -> None:
     with pytest.raises(BridgeError, match="the goal was aborted"):
         bridge.call(called, {"order": -1})
     channel.close()
-
-
-def test_parameters_are_read_watched_and_set(bridge: Bridge) -> None:
-    speed, collector = at(Role.OUTPUT, "/behind:speed", "parameter"), Collector()
-    structure = stream(bridge, speed)
-    sink = bridge.open_sink(at(Role.INPUT, "/behind:speed", "parameter"), structure)
-    sink.send(7)
-    bridge.open_source(speed, structure, collector.deliver)
-    assert collector.wait(1) == [7]
-    sink.send(9)
-    assert collector.wait(2) == [7, 9]
 
 
 def test_every_node_is_discovered_with_structures(bridge: Bridge) -> None:

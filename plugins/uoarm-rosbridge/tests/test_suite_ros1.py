@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 from ros import eventually
+from suites import HEIGHT, WIDTH, EitherSuite, at, made, stream
 
-from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import BridgeError, BridgeTimeoutError
-from uoarm.model import BridgeSpec, Endpoint, Message, MessageStructure, Role
+from uoarm.model import Role
 from uoarm.testing import Background, Collector, patience
 
 ADDRESS, _, MASTER = os.environ.get("UOARM_ROSBRIDGE_SUITE_ROS1", "").partition(" ")
@@ -27,7 +28,6 @@ pytestmark = pytest.mark.skipif(
     reason="no rosbridge_suite of ROS 1: UOARM_ROSBRIDGE_SUITE_ROS1='ws://HOST:PORT "
     "http://MASTER:PORT' is needed",
 )
-WIDTH, HEIGHT = 64, 48
 ADD = ("/behind/add", "actionlib/TwoIntsAction")
 HOLD = ("/behind/hold", "actionlib/TwoIntsAction")
 
@@ -48,34 +48,16 @@ def _node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         process.kill()
 
 
-def made(**options: object) -> Bridge:
-    given = {"url": ADDRESS, "check": 0.2, "wait": min(patience(), 60), **options}
-    return Registry().create(BridgeSpec("far", "rosbridge", given))
-
-
 @pytest.fixture
 def bridge() -> Iterator[Bridge]:
-    bridge = made()
+    bridge = made(ADDRESS)
     yield bridge
     bridge.close()
 
 
-def at(role: Role, *address: str, **options: object) -> Endpoint:
-    return Endpoint("far", "behind", role, address, options=options)
-
-
-def stream(bridge: Bridge, endpoint: Endpoint) -> MessageStructure:
-    structure = bridge.describe(endpoint).message
-    assert structure is not None
-    return structure
-
-
-def is_there(bridge: Bridge, endpoint: Endpoint) -> bool:
-    try:
-        bridge.describe(endpoint)
-    except BridgeError:
-        return False
-    return True
+class TestSuite(EitherSuite):
+    set_bool = "std_srvs/SetBool"
+    parameter = "/behind/speed"
 
 
 def test_types_are_those_of_ros_1(bridge: Bridge) -> None:
@@ -88,7 +70,7 @@ def test_types_are_those_of_ros_1(bridge: Bridge) -> None:
 
 @pytest.mark.parametrize("compression", ["cbor", "cbor-raw", "none"])
 def test_messages_come_with_their_types(compression: str) -> None:
-    bridge = made(compression=compression)
+    bridge = made(ADDRESS, compression=compression)
     pictures, scans = Collector(), Collector()
     for name, to in (("picture", pictures), ("scan", scans)):
         source = at(Role.OUTPUT, f"/behind/{name}")
@@ -103,42 +85,10 @@ def test_messages_come_with_their_types(compression: str) -> None:
     bridge.close()
 
 
-def test_what_is_sent_comes_back_in_order(bridge: Bridge) -> None:
-    asked, echoed = at(Role.INPUT, "/behind/asked"), at(Role.OUTPUT, "/behind/echoed")
-    collector = Collector()
-    structure = stream(bridge, asked)
-    bridge.open_source(echoed, structure, collector.deliver)
-    sink = bridge.open_sink(asked, structure)
-
-    def has_come() -> bool:
-        sink.send({"data": "first"})
-        return bool(collector.messages)
-
-    eventually(has_come, "the topics are connected")
-    sent: list[Message] = [{"data": f"Kia ora ä {number}"} for number in range(200)]
-    for message in sent:
-        sink.send(message)
-        eventually(lambda message=message: collector.messages[-1] == message, "it comes")  # type: ignore[misc]
-    assert [message for message in collector.messages if message != {"data": "first"}] == sent
-    assert sink.drain(patience())
-
-
 def test_a_latched_message_comes_first(bridge: Bridge) -> None:
     source, collector = at(Role.OUTPUT, "/behind/map", latch=True), Collector()
     bridge.open_source(source, stream(bridge, source), collector.deliver)
     assert collector.wait(1) == [{"data": "a map"}]
-
-
-def test_services_are_called_and_served(bridge: Bridge) -> None:
-    for data in (True, False):
-        reply = bridge.call(at(Role.SERVICE, "/behind/set"), {"data": data})
-        assert reply == {"success": data, "message": f"data is {data}"}
-    offered = at(Role.SERVICE, "/ours/set", "std_srvs/SetBool", peer="optional")
-    channel = bridge.serve(offered, lambda request: {"success": request["data"], "message": "ours"})
-    called = at(Role.SERVICE, "/ours/set")
-    eventually(lambda: is_there(bridge, called), "the service is there")
-    assert bridge.call(called, {"data": True}) == {"success": True, "message": "ours"}
-    channel.close()
 
 
 def test_an_action_of_actionlib_is_a_call(bridge: Bridge) -> None:
@@ -169,17 +119,6 @@ def test_a_goal_that_is_given_up_is_cancelled(bridge: Bridge) -> None:
     bridge.open_sink(cancel, stream(bridge, cancel)).send(everything)
     with pytest.raises(BridgeError, match="the goal was preempted: let go"):
         first.result(patience())
-
-
-def test_parameters_are_read_watched_and_set(bridge: Bridge) -> None:
-    speed, collector = at(Role.OUTPUT, "/behind/speed", "parameter"), Collector()
-    structure = stream(bridge, speed)
-    sink = bridge.open_sink(at(Role.INPUT, "/behind/speed", "parameter"), structure)
-    sink.send(7)
-    bridge.open_source(speed, structure, collector.deliver)
-    assert collector.wait(1) == [7]
-    sink.send(9)
-    assert collector.wait(2) == [7, 9]
 
 
 def test_every_node_is_discovered_with_structures(bridge: Bridge) -> None:
