@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from tests.schema._hostile import HOSTILE
+from tests.structures import closed
 
 from uoarm._adapt import MappingError, _edge, adapt, check_edge, parse
 from uoarm._adapt._suggest import suggest
@@ -45,14 +46,7 @@ SOURCE: dict[str, Any] = {
     },
     "required": ["data", "range", "state", "pose", "boxes"],
     "additionalProperties": False,
-    "$defs": {
-        "box": {
-            "type": "object",
-            "properties": {"left": INT, "score": {"type": "number"}},
-            "required": ["left", "score"],
-            "additionalProperties": False,
-        }
-    },
+    "$defs": {"box": closed(left=INT, score={"type": "number"})},
 }
 ANY: dict[str, Any] = {}
 small = st.integers(-100, 100)
@@ -143,11 +137,6 @@ def test_a_suggestion_mends_the_edge_that_it_is_for() -> None:
 
 def ros(name: str, /, **fields: Any) -> dict[str, Any]:
     return {**closed(**fields), "x-type": name}
-
-
-def closed(**fields: Any) -> dict[str, Any]:
-    named = {"type": "object", "properties": fields, "required": [*fields]}
-    return {**named, "additionalProperties": False}
 
 
 def whole(least: int, most: int, unit: str = "") -> dict[str, Any]:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.structures import closed
 
 from uoarm.cdr import CORBA, DDS, NATIVE, ROS_1, ByteOrder, Codec, Encoding
 from uoarm.errors import MessageError
@@ -24,11 +25,6 @@ ORDERS: list[ByteOrder] = ["<", ">"]
 INTEGERS = {"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I",
             "int64": "q", "uint64": "Q"}  # fmt: skip
 BOOLEAN, TEXT = {"type": "boolean"}, {"type": "string", "x-nul": False}
-
-
-def record(**members: object) -> dict[str, Any]:
-    closed = {"required": list(members), "additionalProperties": False}
-    return {"type": "object", "properties": members, **closed}
 
 
 def number(name: str) -> dict[str, Any]:
@@ -44,7 +40,7 @@ def codec(encoding: Encoding, **members: object) -> Codec:
 
 
 def structure(**members: object) -> MessageStructure:
-    return MessageStructure(record(**members), native_type="t/Type")
+    return MessageStructure(closed(**members), native_type="t/Type")
 
 
 MANY = {
@@ -55,8 +51,8 @@ MANY = {
     "none": listing(number("float64")),
     "pair": listing(number("int16"), minItems=2, maxItems=2),
     "flags": listing(BOOLEAN),
-    "parts": listing(record(flag=BOOLEAN, at=number("float64"))),
-    "empty": record(),
+    "parts": listing(closed(flag=BOOLEAN, at=number("float64"))),
+    "empty": closed(),
     "octets": listing(number("uint8"), **{"x-octets": True}),
     "last": number("uint32"),
 }
@@ -169,7 +165,7 @@ def structures(draw: st.DrawFn, depth: int = 3) -> tuple[Any, st.SearchStrategy[
             schema = listing(schema, minItems=size, maxItems=size)
             value = st.lists(value, min_size=size, max_size=size)
         members[f"m{index}"], values[f"m{index}"] = schema, value
-    return record(**members), st.fixed_dictionaries(values)
+    return closed(**members), st.fixed_dictionaries(values)
 
 
 @given(st.data(), structures(), st.sampled_from(ENCODINGS), st.sampled_from(ORDERS))
@@ -224,7 +220,7 @@ def test_what_is_encapsulated_may_have_octets_behind_it() -> None:
     [
         (listing(TEXT), struct.pack("<I", 1000) + bytes(100), "1,000 elements|4,000 octets should"),
         (listing(BOOLEAN), b"\xff" * 4, "more elements|octets should follow"),
-        (listing(record()), struct.pack("<I", 2**31), "more elements than are allowed"),
+        (listing(closed()), struct.pack("<I", 2**31), "more elements than are allowed"),
         (listing(listing(BOOLEAN)), struct.pack("<II", 1, 999) + bytes(999), "more elements"),
         (listing(number("float64")), b"\xff" * 4, "cut short"),
         (listing(number("uint8"), maxItems=2), struct.pack("<I3B", 3, 1, 2, 3), "at most 2 elem"),
@@ -242,15 +238,15 @@ def test_bounds_and_budgets_hold_before_anything_is_made(
 
 def test_without_a_budget_a_list_has_no_more_elements_than_octets() -> None:
     with pytest.raises(MessageError, match="octets should follow"):
-        codec(ROS_1, a=listing(record())).decode(struct.pack("<I", 2**31), "<")
+        codec(ROS_1, a=listing(closed())).decode(struct.pack("<I", 2**31), "<")
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS, ids=lambda encoding: encoding.name)
 def test_lists_lie_in_lists_however_deep(encoding: Encoding) -> None:
-    schema: Any = record(end=number("float64"), ends=listing(number("int32")))
+    schema: Any = closed(end=number("float64"), ends=listing(number("int32")))
     message: Any = {"end": 0.5, "ends": [1, 2]}
     for _ in range(28):
-        schema, message = record(list=listing(schema)), {"list": [message]}
+        schema, message = closed(list=listing(schema)), {"list": [message]}
     known = Codec(MessageStructure(schema), encoding, Budget())
     octets = known.encode(message)
     assert octets == reference(schema, message, encoding, NATIVE)
@@ -350,7 +346,7 @@ def test_long_arrays_stay_parts_and_what_follows_is_aligned() -> None:
     parts = codec(DDS, **kinds).encode_parts(message)
     assert any(part is pixels for part in parts)
     assert any(isinstance(part, memoryview) and part.obj is points for part in parts)
-    wanted = reference(record(**kinds), message, DDS, NATIVE)
+    wanted = reference(closed(**kinds), message, DDS, NATIVE)
     assert b"".join(parts) == codec(DDS, **kinds).encode(message) == wanted
 
 
@@ -371,9 +367,9 @@ def test_wide_texts_are_those_of_each_encoding() -> None:
 MOOD = {"type": "string", "enum": ["CALM", "ANGRY", "SAD"], "x-native-type": "IDL:Mood:1.0"}
 UNION = {
     "oneOf": [
-        record(switch={"enum": ["ANGRY"]}, shout=TEXT),
-        record(switch={"enum": ["CALM"]}, rest=number("float64")),
-        record(switch={"enum": ["SAD"]}),
+        closed(switch={"enum": ["ANGRY"]}, shout=TEXT),
+        closed(switch={"enum": ["CALM"]}, rest=number("float64")),
+        closed(switch={"enum": ["SAD"]}),
     ],
     "x-switch": MOOD,
 }
@@ -408,11 +404,11 @@ def test_enumerations_and_unions_are_those_of_corba() -> None:
     [
         (True, "the message has no fixed layout"),
         ({"oneOf": [{"type": "object"}]}, "no single type"),
-        (record(x=True), r"message\.x has no fixed"),
-        (record(x={"type": ["string", "null"]}), r"message\.x has no fixed"),
-        (record(x={"type": "array"}), "no single type"),
-        (record(x=listing(listing(TEXT))), "ROS has no arrays"),
-        ({**record(x=TEXT), "required": []}, "absent or added"),
+        (closed(x=True), r"message\.x has no fixed"),
+        (closed(x={"type": ["string", "null"]}), r"message\.x has no fixed"),
+        (closed(x={"type": "array"}), "no single type"),
+        (closed(x=listing(listing(TEXT))), "ROS has no arrays"),
+        ({**closed(x=TEXT), "required": []}, "absent or added"),
     ],
 )
 def test_a_structure_without_a_layout_is_named(schema: Any, why: str) -> None:

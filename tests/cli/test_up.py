@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from click import unstyle
 from click.testing import CliRunner
+from tests.structures import closed
 
 from uoarm import RobotManager
 from uoarm.bridge import BridgeType, Registry
@@ -29,12 +30,7 @@ from uoarm.model import (
 )
 from uoarm.testing import MemoryBridge, patience, wait
 
-IMAGE = {
-    "type": "object",
-    "properties": {"pixels": {"type": "integer"}},
-    "required": ["pixels"],
-    "additionalProperties": False,
-}
+IMAGE = closed(pixels={"type": "integer"})
 EMPTY = "version: 1\nbridges: {lab: {plugin: memory}}\nfunctions: {}\n"
 
 

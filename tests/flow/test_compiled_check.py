@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.strategies import DataObject, data
 from tests.schema._strategies import Body, schemas
+from tests.structures import closed
 
 from uoarm._dataplane._compiled_check import Accepts, compile_check
 from uoarm._dataplane._full_validator import validator_of
@@ -22,15 +23,6 @@ from uoarm.testing._instances import mutate
 FLOAT32 = {"type": "number", "minimum": -3.4028234663852886e38, "maximum": 3.4028234663852886e38}
 NONFINITE = FLOAT32 | {"x-nonfinite": True}
 OCTETS = {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}}
-
-
-def closed(**properties: Schema) -> dict[str, object]:
-    return {
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
-    }
 
 
 SCAN = closed(

@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.structures import closed
 
 import uoarm
 from uoarm._hints.schemas import schema_of
@@ -30,13 +31,6 @@ NUMBER = {"type": "number"}
 OCTETS = {
     "type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}, "x-octets": True,
 }  # fmt: skip
-
-
-def closed(**members: Any) -> dict[str, Any]:
-    return {
-        "type": "object", "properties": members, "required": [*members],
-        "additionalProperties": False,
-    }  # fmt: skip
 
 
 TREE = {"$defs": {"node": closed(name={"type": "string"}, more={

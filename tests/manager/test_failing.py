@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from tests.manager import throwing
+from tests.structures import closed
 
 from uoarm import BridgeError, ConnectionClosedError, RobotManager
 from uoarm.config import loads
@@ -47,12 +48,7 @@ SPARE = """
         input: {from: camera, endpoint: ["tests.manager.throwing:second"]}
         output: {endpoint: ["tests.manager.throwing:second"]}
 """
-NARROW = {
-    "type": "object",
-    "properties": {"value": {"type": "integer", "minimum": 0, "maximum": 255}},
-    "required": ["value"],
-    "additionalProperties": False,
-}
+NARROW = closed(value={"type": "integer", "minimum": 0, "maximum": 255})
 
 
 class Scene:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from tests.structures import closed
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -16,12 +17,7 @@ from uoarm.testing import MemoryBridge, patience, wait
 NUMBER = {"type": "integer", "minimum": 0, "maximum": 1000}
 TEXT = {"type": "string"}
 SCAN = {"type": "object", "properties": {"range": NUMBER}, "required": ["range"]}
-READING = {
-    "type": "object",
-    "properties": {"distance": {"type": "number"}},
-    "required": ["distance"],
-    "additionalProperties": False,
-}
+READING = closed(distance={"type": "number"})
 
 ROBOT = """
 version: 1
@@ -100,12 +96,7 @@ offer:
       inputs: {goal: {endpoint: [wanted]}}
       outputs: {status: {endpoint: [reported]}}
 """
-STATUS = {
-    "type": "object",
-    "properties": {"goal_id": TEXT, "status": TEXT},
-    "required": ["goal_id", "status"],
-    "additionalProperties": False,
-}
+STATUS = closed(goal_id=TEXT, status=TEXT)
 CAMERA = "offer: {net: {camera: {output: {endpoint: [seen]}}}}"
 ARM = "offer: {net: {arm: {input: {endpoint: [wish]}}}}"
 DOUBLE = "offer: {net: {double: {service: {endpoint: [twice]}}}}"

@@ -9,6 +9,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.structures import closed
 
 from uoarm._adapt import check_edge, transfer
 from uoarm._meaning import judge
@@ -25,17 +26,8 @@ def unit(name: str) -> dict[str, Any]:
     return {**NUMBER, "x-unit": name}
 
 
-def record(**fields: Any) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": fields,
-        "required": list(fields),
-        "additionalProperties": False,
-    }
-
-
 def named(name: Any, **fields: Any) -> dict[str, Any]:
-    return {**record(**fields), "x-type": name}
+    return {**closed(**fields), "x-type": name}
 
 
 def edge(one: Any, other: Any, mapping: Any = None, **more: Any) -> Any:
@@ -43,7 +35,7 @@ def edge(one: Any, other: Any, mapping: Any = None, **more: Any) -> Any:
 
 
 def test_degrees_are_not_radians_and_the_line_converts_them() -> None:
-    verdict = edge(record(yaw=unit("deg")), record(yaw=unit("rad")))
+    verdict = edge(closed(yaw=unit("deg")), closed(yaw=unit("rad")))
     assert not verdict.compatible
     (reason,) = verdict.reasons
     assert (reason.path, reason.producer, reason.consumer) == ("yaw", "x-unit deg", "x-unit rad")
@@ -64,11 +56,11 @@ def pasted(one: Any, other: Any) -> Any:
 
 def test_lines_to_paste_reach_into_objects_and_arrays_and_keep_what_stands_beside() -> None:
     def scan(angle: str, length: str) -> dict[str, Any]:
-        return record(
+        return closed(
             name={"type": "string"},
-            pose=record(x=unit(length), yaw=unit(angle), at=record(z=unit(length), k=NUMBER)),
+            pose=closed(x=unit(length), yaw=unit(angle), at=closed(z=unit(length), k=NUMBER)),
             ranges={"type": "array", "items": unit(length)},
-            points={"type": "array", "items": record(x=unit(length), id=NUMBER)},
+            points={"type": "array", "items": closed(x=unit(length), id=NUMBER)},
             plain=unit("s"),
         )
 
@@ -107,12 +99,12 @@ def test_a_whole_message_that_is_one_number_is_converted() -> None:
 def test_what_means_something_else_is_refused_with_its_path(
     one: Any, other: Any, said: str
 ) -> None:
-    verdict = edge(record(v=one), record(v=other))
+    verdict = edge(closed(v=one), closed(v=other))
     assert not verdict.compatible
     assert verdict.reasons[0].path == "v"
     assert said in verdict.reasons[0].sentence
     assert not verdict.reasons[0].suggestion
-    assert edge(record(v=one), record(v=other), meaning=OFF).compatible
+    assert edge(closed(v=one), closed(v=other), meaning=OFF).compatible
 
 
 @pytest.mark.parametrize("key", ["x-frame", "x-encoding"])
@@ -122,20 +114,20 @@ def test_what_each_message_says_itself_is_not_guessed(key: str) -> None:
 
 
 def test_what_an_object_says_holds_for_what_is_in_it() -> None:
-    whole = {**record(x=NUMBER, y=unit("rad")), "x-unit": "mm"}
-    verdict = edge(whole, record(x=unit("m"), y=unit("rad")))
+    whole = {**closed(x=NUMBER, y=unit("rad")), "x-unit": "mm"}
+    verdict = edge(whole, closed(x=unit("m"), y=unit("rad")))
     assert [reason.path for reason in verdict.reasons] == ["x"]
-    assert edge(whole, record(x=unit("mm"), y=unit("rad"))).unstated == ()
-    framed = {**record(at={**record(x=NUMBER), "x-frame": "map"}), "x-unit": "mm"}
+    assert edge(whole, closed(x=unit("mm"), y=unit("rad"))).unstated == ()
+    framed = {**closed(at={**closed(x=NUMBER), "x-frame": "map"}), "x-unit": "mm"}
     assert edge(framed, framed).unstated == ()
-    carried = edge(record(at=whole), record(x=unit("m")), {"x": "at.x"}, allow_loss=("at.y",))
+    carried = edge(closed(at=whole), closed(x=unit("m")), {"x": "at.x"}, allow_loss=("at.y",))
     assert carried.reasons[0].sentence == "the units differ: mm becomes m with scale: 0.001"
 
 
 def test_what_is_not_declared_rests_on_shape_and_is_named() -> None:
     flag, code = {"type": "boolean"}, {"enum": [1, 2]}
-    one = record(a=NUMBER, b=unit("m"), c=flag, d=code, e=OCTETS, f=unit("m"))
-    verdict = edge(one, record(a=NUMBER, b=NUMBER, c=flag, d=code, e=OCTETS, f=unit("m")))
+    one = closed(a=NUMBER, b=unit("m"), c=flag, d=code, e=OCTETS, f=unit("m"))
+    verdict = edge(one, closed(a=NUMBER, b=NUMBER, c=flag, d=code, e=OCTETS, f=unit("m")))
     assert verdict.compatible
     assert verdict.unstated == ("a", "b", "e")
     strict = edge(one, one, meaning=STRICT)
@@ -161,7 +153,7 @@ def test_constants_of_one_type_have_one_value_and_new_ones_are_noted() -> None:
     assert edge(newer, older).compatible
     (warning,) = edge(newer, older).warnings
     assert "constants that the consumer's has not: STRIP=2" in warning
-    verdict = edge(record(marker=older), record(marker=marker(ARROW=1, CUBE=0)))
+    verdict = edge(closed(marker=older), closed(marker=marker(ARROW=1, CUBE=0)))
     assert not verdict.compatible
     assert [reason.path for reason in verdict.reasons] == ["marker", "marker"]
     assert "ARROW of Marker is 0 for the producer and 1 for the" in verdict.reasons[0].sentence
@@ -205,14 +197,14 @@ def test_a_map_is_judged_at_what_it_carries_over() -> None:
 
 def test_a_map_may_correct_a_value_and_cross_quantities_by_a_factor() -> None:
     calibrated = {"v": {"from": "v", "scale": 1.02, "offset": -0.3}}
-    assert edge(record(v=unit("m")), record(v=unit("m")), calibrated).compatible
+    assert edge(closed(v=unit("m")), closed(v=unit("m")), calibrated).compatible
     wheel = edge(
-        record(v=unit("rad/s")), record(v=unit("m/s")), {"v": {"from": "v", "scale": 0.05}}
+        closed(v=unit("rad/s")), closed(v=unit("m/s")), {"v": {"from": "v", "scale": 0.05}}
     )
     assert wheel.compatible
     assert "makes m/s of rad/s" in wheel.warnings[0]
     celsius = {"v": {"from": "v", "scale": 1.8}}
-    forgotten = edge(record(v=unit("Cel")), record(v=unit("[degF]")), celsius)
+    forgotten = edge(closed(v=unit("Cel")), closed(v=unit("[degF]")), celsius)
     assert "scale: 1.8, offset: 32" in forgotten.reasons[0].sentence
 
 
@@ -231,7 +223,7 @@ def test_a_choice_is_judged_branch_by_branch() -> None:
 
 def test_structures_that_refer_to_themselves_are_judged_once_around() -> None:
     def tree(name: str) -> dict[str, Any]:
-        node = record(value=unit(name), children={"type": "array", "items": {"$ref": "#/$defs/n"}})
+        node = closed(value=unit(name), children={"type": "array", "items": {"$ref": "#/$defs/n"}})
         return {"$ref": "#/$defs/n", "$defs": {"n": node}}
 
     assert not judge(tree("m"), tree("m")).differences
@@ -251,9 +243,9 @@ def test_choices_that_multiply_are_not_followed_and_cost_little() -> None:
 
 def test_a_suggestion_crosses_neither_types_nor_units() -> None:
     here, there = named("a/Pose", x=NUMBER), named("a/Twist", x=NUMBER)
-    assert not edge(record(pose=here), record(posture=there)).reasons[0].suggestion
-    assert not edge(record(length=unit("m")), record(lengths=unit("s"))).reasons[0].suggestion
-    assert edge(record(pose=here), record(posture=here)).reasons[0].suggestion
+    assert not edge(closed(pose=here), closed(posture=there)).reasons[0].suggestion
+    assert not edge(closed(length=unit("m")), closed(lengths=unit("s"))).reasons[0].suggestion
+    assert edge(closed(pose=here), closed(posture=here)).reasons[0].suggestion
 
 
 # Properties ------------------------------------------------------------------------------------
@@ -272,7 +264,7 @@ types = st.sampled_from(["a/A", "b/B", "c/C", None])
 
 
 def _typed(fields: dict[str, Any], name: str | None) -> dict[str, Any]:
-    return record(**fields) if name is None else named(name, **fields)
+    return closed(**fields) if name is None else named(name, **fields)
 
 
 structures = st.recursive(
@@ -285,7 +277,7 @@ structures = st.recursive(
 )
 
 
-choices = st.builds(lambda one, other: record(a={"anyOf": [one, other]}), structures, structures)
+choices = st.builds(lambda one, other: closed(a={"anyOf": [one, other]}), structures, structures)
 
 
 @given(structures | choices)

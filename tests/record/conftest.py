@@ -10,6 +10,7 @@ import pytest
 from attrs import frozen
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
+from tests.structures import closed
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -25,27 +26,17 @@ functions:
       - {name: spare, bridge: memory, priority: 1, output: {endpoint: [spare]}}
   counter: {components: [{name: clicks, bridge: memory, output: {endpoint: [clicks]}}]}
 """
-COUNT: Any = {
-    "type": "object",
-    "properties": {"n": {"type": "integer"}},
-    "required": ["n"],
-    "additionalProperties": False,
-}
+COUNT: Any = closed(n={"type": "integer"})
 OCTETS: Any = {
     "type": "array",
     "items": {"type": "integer", "minimum": 0, "maximum": 255},
     "x-octets": True,
 }
-PICTURE: Any = {
-    "type": "object",
-    "properties": {
-        "width": {"type": "integer", "minimum": 0, "maximum": 2**32 - 1},
-        "name": {"type": "string"},
-        "data": OCTETS,
-    },
-    "required": ["width", "name", "data"],
-    "additionalProperties": False,
-}
+PICTURE: Any = closed(
+    width={"type": "integer", "minimum": 0, "maximum": 2**32 - 1},
+    name={"type": "string"},
+    data=OCTETS,
+)
 
 
 @pytest.fixture

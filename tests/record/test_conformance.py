@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.structures import closed
 
 from uoarm.bridge import Bridge, Description, Sink
 from uoarm.errors import BridgeError, FailureReason
@@ -37,16 +38,11 @@ KINDS: dict[str, Any] = {
         "required": ["values"],
         "additionalProperties": False,
     },
-    "cdr": {
-        "type": "object",
-        "properties": {
-            "width": {"type": "integer", "minimum": 0, "maximum": 2**32 - 1},
-            "on": {"type": "boolean"},
-            "data": OCTETS,
-        },
-        "required": ["width", "on", "data"],
-        "additionalProperties": False,
-    },
+    "cdr": closed(
+        width={"type": "integer", "minimum": 0, "maximum": 2**32 - 1},
+        on={"type": "boolean"},
+        data=OCTETS,
+    ),
 }
 
 

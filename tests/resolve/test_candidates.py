@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.structures import closed
 
 from uoarm._resolve import Proofs, StructureCache, add_candidates, without_candidates
 from uoarm.config import loads
@@ -107,18 +108,8 @@ def _require_no_cycle(robot: Robot) -> None:
 
 
 def test_rules_and_options_of_a_need_go_to_the_ports_they_are_for() -> None:
-    view: Schema = {
-        "properties": {"tm": {"type": "integer", "minimum": 0}, "data": {"type": "string"}},
-        "required": ["tm", "data"],
-        "additionalProperties": False,
-        "type": "object",
-    }
-    image: Schema = {
-        "properties": {"tm": {"type": "integer"}, "data": TEXT, "step": NUMBER},
-        "required": ["tm", "data", "step"],
-        "additionalProperties": False,
-        "type": "object",
-    }
+    view: Schema = closed(tm={"type": "integer", "minimum": 0}, data={"type": "string"})
+    image: Schema = closed(tm={"type": "integer"}, data=TEXT, step=NUMBER)
     wanted = """
 version: 1
 bridges: {a: {plugin: memory}}

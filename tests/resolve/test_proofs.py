@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from tests.structures import closed
 
 from uoarm._resolve import Proofs, _proofs
 from uoarm.model import MessageStructure, Schema
@@ -52,14 +53,7 @@ def test_nor_is_a_map_given_up_for_want_of_time(
     given = MessageStructure(
         {"type": "object", "properties": {"value": number}, "required": ["value"]}
     )
-    wanted = MessageStructure(
-        {
-            "type": "object",
-            "properties": {"data": number},
-            "required": ["data"],
-            "additionalProperties": False,
-        }
-    )
+    wanted = MessageStructure(closed(data=number))
     assert proofs.refusal(given, wanted)
     with monkeypatch.context() as hurried:
         hurried.setattr(_proofs, "_PAIR_SECONDS", 1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from tests.structures import closed
 
 from uoarm.schema import check
 
@@ -13,44 +14,35 @@ REAL = {"type": "number"}
 TEXT = {"type": "string"}
 
 
-def record(**fields: Any) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": fields,
-        "required": list(fields),
-        "additionalProperties": False,
-    }
-
-
 REFUSED: dict[str, tuple[Any, Any, str, str]] = {
     "a type deep inside": (
-        record(pose=record(x=REAL)), record(pose=record(x=WHOLE)), "pose.x", "not of a type",
+        closed(pose=closed(x=REAL)), closed(pose=closed(x=WHOLE)), "pose.x", "not of a type",
     ),
     "a type in an array": (
-        record(points={"type": "array", "items": REAL, "minItems": 1}),
-        record(points={"type": "array", "items": TEXT}),
+        closed(points={"type": "array", "items": REAL, "minItems": 1}),
+        closed(points={"type": "array", "items": TEXT}),
         "points[0]",
         "not of a type",
     ),
-    "a missing field": (record(), record(x=REAL), "", "'x' is required"),
+    "a missing field": (closed(), closed(x=REAL), "", "'x' is required"),
     "several missing fields": (
-        record(x=REAL),
-        record(x=REAL, y=REAL, z=REAL, w=REAL),
+        closed(x=REAL),
+        closed(x=REAL, y=REAL, z=REAL, w=REAL),
         "",
         "the fields 'y', 'z' and 'w' are required and may be missing",
     ),
-    "a field too many": (record(x=REAL, y=REAL), record(x=REAL), "", "does not allow"),
-    "a value of no list": (record(m={"const": "b"}), record(m={"enum": ["a"]}), "m", "none of"),
+    "a field too many": (closed(x=REAL, y=REAL), closed(x=REAL), "", "does not allow"),
+    "a value of no list": (closed(m={"const": "b"}), closed(m={"enum": ["a"]}), "m", "none of"),
     "too many items": (
         {"type": "array", "minItems": 5}, {"maxItems": 4}, "", "5 parts are more or fewer",
     ),
     "too few members": (
         {"type": "object", "maxProperties": 0}, {"minProperties": 1}, "", "0 parts are more",
     ),
-    "a bound": (record(x=REAL), record(x={"maximum": 0}), "x", "does not meet"),
+    "a bound": (closed(x=REAL), closed(x={"maximum": 0}), "x", "does not meet"),
     "through a reference": (
-        record(x=REAL),
-        {"$ref": "#/$defs/r", "$defs": {"r": record(x=WHOLE)}},
+        closed(x=REAL),
+        {"$ref": "#/$defs/r", "$defs": {"r": closed(x=WHOLE)}},
         "x",
         "not of a type",
     ),
@@ -69,12 +61,12 @@ def test_a_refusal_names_the_field_and_the_reason(
 
 
 def test_every_field_that_fails_is_named() -> None:
-    verdict = check(record(a=TEXT, b=TEXT, c=REAL), record(a=WHOLE, b=WHOLE, c=REAL))
+    verdict = check(closed(a=TEXT, b=TEXT, c=REAL), closed(a=WHOLE, b=WHOLE, c=REAL))
     assert sorted(reason.path for reason in verdict.reasons) == ["a", "b"]
 
 
 def test_the_excerpt_is_the_part_that_matters() -> None:
-    verdict = check(record(a=record(b={"const": 7}), c=REAL), record(a=record(b=TEXT), c=REAL))
+    verdict = check(closed(a=closed(b={"const": 7}), c=REAL), closed(a=closed(b=TEXT), c=REAL))
     assert verdict.excerpt == 7
 
 
@@ -90,12 +82,12 @@ def test_the_excerpt_is_the_part_that_matters() -> None:
 def test_what_is_not_kept_whole_is_listed_with_its_field(
     mine: dict[str, Any], theirs: dict[str, Any], kind: str
 ) -> None:
-    verdict = check(record(x=mine), record(x=theirs))
+    verdict = check(closed(x=mine), closed(x=theirs))
     assert [(loss.path, loss.kind) for loss in verdict.losses] == [("x", kind)]
 
 
 def test_a_field_that_the_consumer_does_not_know_is_listed() -> None:
-    verdict = check(record(x=REAL, y=REAL), {"type": "object", "properties": {"x": REAL}})
+    verdict = check(closed(x=REAL, y=REAL), {"type": "object", "properties": {"x": REAL}})
     assert [(loss.path, loss.kind) for loss in verdict.losses] == [("y", "ignored")]
 
 
@@ -111,7 +103,7 @@ def test_a_field_that_the_consumer_does_not_know_is_listed() -> None:
 def test_nothing_is_listed_where_nothing_is_lost(
     mine: dict[str, Any], theirs: dict[str, Any]
 ) -> None:
-    assert check(record(x=mine), record(x=theirs)).losses == ()
+    assert check(closed(x=mine), closed(x=theirs)).losses == ()
 
 
 def test_an_object_is_given_no_more_members_than_it_may_have() -> None:

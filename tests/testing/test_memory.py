@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import _thread
 import threading
-from typing import Any
 
 import pytest
 from hypothesis import given
+from tests.structures import closed
 
 from uoarm import RobotManager
 from uoarm.bridge import HealthEvent
@@ -29,19 +29,9 @@ from uoarm.testing import (
 )
 from uoarm.testing._components import PAIRS, ROWS, NativeDialect, codec
 
-
-def record(**fields: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": fields,
-        "required": sorted(fields),
-        "additionalProperties": False,
-    }
-
-
-BYTE = record(value={"type": "integer", "minimum": 0, "maximum": 255})
-SHORT = record(value={"type": "integer", "minimum": -32768, "maximum": 32767})
-MIXED = record(
+BYTE = closed(value={"type": "integer", "minimum": 0, "maximum": 255})
+SHORT = closed(value={"type": "integer", "minimum": -32768, "maximum": 32767})
+MIXED = closed(
     count={"type": "integer"},
     names={"type": "array", "items": {"type": "string"}},
     pair={

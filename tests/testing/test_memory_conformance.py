@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 import pytest
+from tests.structures import closed
 
 from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.model import BridgeSpec, Endpoint, Message, Options, Role
@@ -33,21 +34,7 @@ SCHEMAS: dict[str, Any] = {
 }
 
 
-def record(field: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": {"value": field},
-        "required": ["value"],
-        "additionalProperties": False,
-    }
-
-
-OPTIONS: dict[str, Any] = {
-    "type": "object",
-    "properties": {"links": {"type": "boolean"}},
-    "required": ["links"],
-    "additionalProperties": False,
-}
+OPTIONS: dict[str, Any] = closed(links={"type": "boolean"})
 
 
 class MemoryWorld(World):
@@ -73,13 +60,13 @@ class MemoryWorld(World):
     def create(self, name: str, options: Options) -> Bridge:
         made = self._made = MemoryBridge(name, options, links=options["links"] is True)
         for kind, field in SCHEMAS.items():
-            self._loops[kind] = made.loop(kind, record(field))
-        self._latch = made.emitter("latched", record(SCHEMAS["byte"]), latched=True)
+            self._loops[kind] = made.loop(kind, closed(value=field))
+        self._latch = made.emitter("latched", closed(value=SCHEMAS["byte"]), latched=True)
         for victim in ("victim", "second"):
-            made.emitter(victim, record(SCHEMAS["byte"]))
-        made.emitter("producer", record(SCHEMAS["byte"]))
-        made.taker("consumer", record(SCHEMAS["byte"]))
-        value = record(SCHEMAS["byte"])
+            made.emitter(victim, closed(value=SCHEMAS["byte"]))
+        made.emitter("producer", closed(value=SCHEMAS["byte"]))
+        made.taker("consumer", closed(value=SCHEMAS["byte"]))
+        value = closed(value=SCHEMAS["byte"])
         made.service("double", value, value, lambda asked: {"value": 2 * asked["value"]})
         made.service("broken", value, value, self._fail)
         made.service("silent", value, value, self._hold)

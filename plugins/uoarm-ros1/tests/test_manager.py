@@ -11,6 +11,7 @@ from typing import Any
 
 from endpoints import bridge_to
 from peers import Master, Peer
+from tests.structures import closed  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -18,37 +19,12 @@ from uoarm.model import ConnectionState, OfferState
 from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import MemoryBridge, patience, slowness, wait
 
-NUMBER = {
-    "type": "object",
-    "properties": {"data": {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}},
-    "required": ["data"],
-    "additionalProperties": False,
-}
-FLAG = {
-    "type": "object",
-    "properties": {"data": {"type": "boolean"}},
-    "required": ["data"],
-    "additionalProperties": False,
-}
-OUTCOME = {
-    "type": "object",
-    "properties": {"success": {"type": "boolean"}, "message": {"type": "string"}},
-    "required": ["success", "message"],
-    "additionalProperties": False,
-}
+NUMBER = closed(data={"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1})
+FLAG = closed(data={"type": "boolean"})
+OUTCOME = closed(success={"type": "boolean"}, message={"type": "string"})
 INTEGER = {"type": "integer", "minimum": -(2**63), "maximum": 2**63 - 1}
-TERMS = {
-    "type": "object",
-    "properties": {"a": INTEGER, "b": INTEGER},
-    "required": ["a", "b"],
-    "additionalProperties": False,
-}
-SUM = {
-    "type": "object",
-    "properties": {"sum": INTEGER},
-    "required": ["sum"],
-    "additionalProperties": False,
-}
+TERMS = closed(a=INTEGER, b=INTEGER)
+SUM = closed(sum=INTEGER)
 HEADER = """
 version: 1
 {more}

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from peers import DOMAIN, Peer
+from tests.structures import closed  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
@@ -23,25 +24,16 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 CANCEL_REJECTED = 1
 
 
-def record(**members: Any) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": members,
-        "required": list(members),
-        "additionalProperties": False,
-    }
-
-
 INTEGER = {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}
 TEXT = {"type": "string"}
-SEQUENCE = record(sequence={"type": "array", "items": INTEGER})
+SEQUENCE = closed(sequence={"type": "array", "items": INTEGER})
 STATES = {"type": "string", "enum": ["accepted", "rejected", "succeeded", "canceled", "aborted"]}
 PORTS = {
-    "goal": record(order=INTEGER),
-    "cancel": record(goal_id=TEXT),
-    "status": record(goal_id=TEXT, status=STATES),
-    "feedback": record(goal_id=TEXT, feedback=SEQUENCE),
-    "result": record(goal_id=TEXT, status=STATES, result=SEQUENCE),
+    "goal": closed(order=INTEGER),
+    "cancel": closed(goal_id=TEXT),
+    "status": closed(goal_id=TEXT, status=STATES),
+    "feedback": closed(goal_id=TEXT, feedback=SEQUENCE),
+    "result": closed(goal_id=TEXT, status=STATES, result=SEQUENCE),
 }
 INPUTS = ("goal", "cancel")
 ROBOT = """

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from peers import Peer
+from tests.structures import closed  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
@@ -14,24 +15,9 @@ from uoarm.model import OfferState
 from uoarm.testing import MemoryBridge, wait
 
 Start = Callable[..., Peer]
-NUMBER = {
-    "type": "object",
-    "properties": {"data": {"type": "integer", "minimum": -(2**63), "maximum": 2**63 - 1}},
-    "required": ["data"],
-    "additionalProperties": False,
-}
-FLAG = {
-    "type": "object",
-    "properties": {"data": {"type": "boolean"}},
-    "required": ["data"],
-    "additionalProperties": False,
-}
-OUTCOME = {
-    "type": "object",
-    "properties": {"success": {"type": "boolean"}, "message": {"type": "string"}},
-    "required": ["success", "message"],
-    "additionalProperties": False,
-}
+NUMBER = closed(data={"type": "integer", "minimum": -(2**63), "maximum": 2**63 - 1})
+FLAG = closed(data={"type": "boolean"})
+OUTCOME = closed(success={"type": "boolean"}, message={"type": "string"})
 ROBOT = """
 version: 1
 bridges: {ros: {plugin: ros2}, one: {plugin: memory}}

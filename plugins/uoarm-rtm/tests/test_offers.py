@@ -11,6 +11,7 @@ import pytest
 from endpoints import ANSWERS, Inbox, endpoint, sink, source, stamped
 from peers import Peer
 from plain import plain
+from tests.structures import closed  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
@@ -42,31 +43,26 @@ offer:
 """
 
 
-POSE = {
-    "type": "object",
-    "properties": {
-        "frame": {"type": "string"},
-        "at": {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
-        "marks": {
-            "type": "array",
-            "maxItems": 8,
-            "items": {
-                "type": "object",
-                "properties": {"id": {"type": "integer", "minimum": 0, "maximum": 65535}},
-                "required": ["id"],
-                "additionalProperties": False,
-            },
+POSE = closed(
+    frame={"type": "string"},
+    at={"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
+    marks={
+        "type": "array",
+        "maxItems": 8,
+        "items": {
+            "type": "object",
+            "properties": {"id": {"type": "integer", "minimum": 0, "maximum": 65535}},
+            "required": ["id"],
+            "additionalProperties": False,
         },
-        "octets": {
-            "type": "array",
-            "items": {"type": "integer", "minimum": 0, "maximum": 255},
-            "x-octets": True,
-        },
-        "is_sure": {"type": "boolean"},
     },
-    "required": ["frame", "at", "marks", "octets", "is_sure"],
-    "additionalProperties": False,
-}
+    octets={
+        "type": "array",
+        "items": {"type": "integer", "minimum": 0, "maximum": 255},
+        "x-octets": True,
+    },
+    is_sure={"type": "boolean"},
+)
 POSED = {
     "frame": "map",
     "at": [1.0, 2.0, 3.0],
@@ -74,18 +70,8 @@ POSED = {
     "octets": b"ab",
     "is_sure": True,
 }
-GOAL = {
-    "type": "object",
-    "properties": {"joint": {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}},
-    "required": ["joint"],
-    "additionalProperties": False,
-}
-ASKED = {
-    "type": "object",
-    "properties": {"words": {"type": "string"}},
-    "required": ["words"],
-    "additionalProperties": False,
-}
+GOAL = closed(joint={"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1})
+ASKED = closed(words={"type": "string"})
 ANSWERED = {**ASKED, "properties": {"return": {"type": "string"}}, "required": ["return"]}
 LOUD = "  loud: {components: [{name: loud, bridge: one, service: {endpoint: [loud]}}]}\n"
 LOUD_OFFER = 'loud: {service: {endpoint: [self, helper, "Mover::echo"]}}'
