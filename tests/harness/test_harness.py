@@ -583,3 +583,29 @@ def test_a_skip_of_the_kit_and_its_row_in_the_table_need_one_another(
             "*retained*: skipped, as the world retains nothing: have the world give it, or add *",
         ]
     )
+
+
+PATHS = """
+    class TestPaths(TestMemory):
+        kinds = ("text", "more", "other")
+        paths = ("more", "other")
+
+    class TestFewer(TestPaths):
+        kinds = ("text",)
+"""
+
+
+@pytest.mark.parametrize(
+    ("suite", "paths"), [("Memory", ["text"]), ("Paths", ["more", "other"]), ("Fewer", ["text"])]
+)
+def test_what_holds_of_a_link_is_tested_once_for_each_path_of_a_suite(
+    run: Run, suite: str, paths: list[str]
+) -> None:
+    found = run(KIT + PATHS, "--collect-only", "-q", "-k", f"Test{suite} and broken_can_be_closed")
+    kinds = re.findall(r"closed\[(\w+)\]", found.stdout.str())
+    assert kinds == paths
+
+
+def test_what_concerns_messages_is_tested_with_each_kind(run: Run) -> None:
+    found = run(KIT + PATHS, "--collect-only", "-q", "-k", "TestPaths and pass_again")
+    assert re.findall(r"once\[(\w+)\]", found.stdout.str()) == ["text", "more", "other"]

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from attrs import field, frozen
 from lines import LIMIT, PseudoTerminal, fresh_link
 from rigs import Events, bridged, endpoint, running, unplugged_by
 from uoarm_rocos._catalogue import DeviceCatalogue
@@ -32,7 +33,7 @@ from uoarm_rocos.simulate import (
 from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import slowness, wait
+from uoarm.testing import wait
 
 ANY = MessageStructure(True)
 PULSE = endpoint("clip", "pulseOximetry")
@@ -46,11 +47,21 @@ def wait_open(bridge: Any, name: str) -> None:
     wait(lambda: line._transport is not None)
 
 
+@frozen
+class Finger(Scenario):
+    """A finger of which the test says what becomes of it, not the time."""
+
+    states: list[str] = field(factory=lambda: ["finger-out"])
+
+    def state(self, time: float) -> str:
+        del time
+        return self.states[-1]
+
+
 @pytest.mark.parametrize(("driver", "kind"), OXIMETERS)
 def test_an_oximeter_says_finger_out_then_searching_then_numbers(driver: str, kind: str) -> None:
-    person = Person(pulse=60, spo2=95)
-    oximeter = Oximeter(kind, person, Scenario(finger_in=2.5 * slowness(), found=2.0))
-    got = Events()
+    finger, got = Finger(), Events()
+    oximeter = Oximeter(kind, Person(pulse=60, spo2=95), finger)
     with (
         running(oximeter, PtyEnd(fresh_link())) as url,
         bridged(clip={"driver": driver, "url": url, "wait": LIMIT}) as (bridge, _),
@@ -58,8 +69,10 @@ def test_an_oximeter_says_finger_out_then_searching_then_numbers(driver: str, ki
         source = bridge.open_source(PULSE, ANY, got)
         away = got.until(lambda item: item["quality"] in {"finger-out", "probe-error"})
         assert not {"pulse", "spo2", "waveform"} & away.keys()
+        finger.states.append("searching")
         searching = got.until(lambda item: item["quality"] == "searching")
         assert not {"pulse", "spo2"} & searching.keys()
+        finger.states.append("good")
         good = got.until(lambda item: "pulse" in item)
         assert good["spo2"] == 95
         assert 55 <= good["pulse"] <= 65

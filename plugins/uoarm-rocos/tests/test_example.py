@@ -40,10 +40,10 @@ def test_the_pulse_is_drawn_with_its_numbers(tmp_path: Path) -> None:
 
 def test_without_a_device_the_reason_is_said(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
-    file.write_text((EXAMPLE / "robot.yaml").read_text().replace(":7200", ":1"))
+    file.write_text((EXAMPLE / "robot.yaml").read_text().replace(':7200"', ':1", wait: 0.2'))
     done = plotted(file, 2.0)
     assert done.returncode == 1
-    assert "clip is not there after 3 s" in done.stderr
+    assert "clip is not there after 0.2 s" in done.stderr
 
 
 def test_the_configuration_has_no_mistake() -> None:

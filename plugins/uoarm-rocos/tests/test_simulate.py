@@ -81,6 +81,15 @@ def test_an_oximeter_sends_sixty_frames_a_second_and_skips_what_is_long_past() -
     assert any(message["beat"] for message in messages)
 
 
+def test_a_finger_is_out_then_searched_for_a_while_then_measured_and_out_again() -> None:
+    oximeter = Oximeter("contec", scenario=Scenario(finger_in=2.0, found=3.0, finger_out=6.0))
+    oximeter.begin(0.0)
+    decoder = ContecDecoder()
+    found = [decoder.feed(b"".join(oximeter.step(second)))[-1] for second in (1.5, 3.5, 5.5, 6.5)]
+    qualities = [message["quality"] for message in found]
+    assert qualities == ["finger-out", "searching", "good", "finger-out"]
+
+
 def test_a_reading_is_sent_until_it_is_accepted() -> None:
     monitor = BloodPressureMonitor(interval=1.0)
     monitor.begin(0.0)

@@ -19,6 +19,7 @@ class TestRos1Bridge(BridgeConformance):
     """The whole suite."""
 
     kinds = tuple(KINDS)
+    paths = ("scalars", "echoed")
 
     @pytest.fixture
     def world(

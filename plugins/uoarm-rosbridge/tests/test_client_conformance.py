@@ -190,6 +190,7 @@ class TestRosbridgeClient(BridgeConformance):
     """The whole suite."""
 
     kinds = KINDS
+    paths = ("between", "scalars")
 
     @pytest.fixture
     def world(self) -> Iterator[World]:

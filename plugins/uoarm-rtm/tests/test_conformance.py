@@ -27,6 +27,7 @@ class TestRtmBridge(BridgeConformance):
     """The whole suite."""
 
     kinds = tuple(KINDS)
+    paths = ("long", "buffered", "pulled")
 
     @pytest.fixture
     def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> Iterator[World]:

@@ -20,6 +20,7 @@ from uoarm.testing.conformance._world import (
     examples_of_service,
     hold_bridge_idle,
     line,
+    of_paths,
     rules,
     structure_of,
     with_half,
@@ -84,6 +85,7 @@ def _broken(world: World) -> Iterator[None]:
 class Breaking:
     """Breaking what the bridge stands on (a link, a broker, a device) and mending it."""
 
+    @of_paths
     def test_a_break_is_reported_with_its_cause_and_so_is_its_end(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
@@ -100,6 +102,7 @@ class Breaking:
                 log.wait(*_end(log, through), lambda item: item.health in {Health.OK, Health.LOST})
             _once(log)
 
+    @of_paths
     def test_a_break_is_reported_of_an_output_that_is_open_alone(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
@@ -114,6 +117,7 @@ class Breaking:
             with suppress(BridgeError):  # it may have been lost
                 source.close()
 
+    @of_paths
     def test_what_is_asked_while_it_is_broken_ends_in_words(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
@@ -132,6 +136,7 @@ class Breaking:
             for ask in asked:
                 _hold_refused_in_words(ask, limit)
 
+    @of_paths
     def test_a_served_function_answers_again_once_it_is_mended(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
@@ -198,6 +203,7 @@ class Breaking:
                 world.patience,
             )
 
+    @of_paths
     def test_what_is_broken_can_be_closed(self, world: World, bridge: Bridge, kind: str) -> None:
         log = HealthLog(world, bridge)
         with line(world, bridge, kind) as through, _broken(world):
@@ -207,6 +213,7 @@ class Breaking:
                     Background(channel.close).result(world.patience)
                 assert not channel.is_closing, f"{channel.endpoint} was not let go"
 
+    @of_paths
     def test_what_opens_while_it_is_broken_carries_once_it_is_mended(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:

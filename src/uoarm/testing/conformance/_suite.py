@@ -15,7 +15,7 @@ from uoarm.testing.conformance._describing import Declaring, Describing
 from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import Flow, ServiceRules
-from uoarm.testing.conformance._world import World
+from uoarm.testing.conformance._world import World, is_of_paths
 
 __all__ = ["BridgeConformance"]
 
@@ -27,11 +27,15 @@ class BridgeConformance(
 
     Attributes:
         kinds: names of the pairs that the world has; tests of messages run for each.
+        paths: those of `kinds` that the bridge carries in different ways: over another link, with
+            another buffer, by way of another process. What a break does whatever the message is,
+            is tested with each of these; the first of `kinds`, unless given.
         hosted: whether the bridge of the world's `spec` runs in a process of its own. A class
             that inherits the suite and sets it is the suite for the hosted bridge.
     """
 
     kinds: ClassVar[tuple[str, ...]] = ()
+    paths: ClassVar[tuple[str, ...]] = ()
     hosted: ClassVar[bool] = False
 
     @pytest.fixture(autouse=True)
@@ -52,9 +56,12 @@ class BridgeConformance(
             monkeypatch.setattr(world, "bridge", partial(RemoteBridge, evolve(spec, host=host)))
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """Run tests that take a `kind` once for each."""
+        """Run tests that take a `kind` once for each, or for those that stand for a path."""
         if "kind" in metafunc.fixturenames and metafunc.cls is not None:
-            metafunc.parametrize("kind", metafunc.cls.kinds)
+            kinds: tuple[str, ...] = metafunc.cls.kinds
+            if is_of_paths(metafunc.function):
+                kinds = tuple(kind for kind in kinds if kind in metafunc.cls.paths) or kinds[:1]
+            metafunc.parametrize("kind", kinds)
 
     @pytest.fixture
     def world(self) -> Iterator[World]:

@@ -36,7 +36,9 @@ __all__ = [
     "find_other_type",
     "hold_bridge_idle",
     "hold_idle_between",
+    "is_of_paths",
     "line",
+    "of_paths",
     "rule_of",
     "rules",
     "structure_of",
@@ -180,6 +182,7 @@ def _resolved(root: Schema, schema: object) -> object:
 
 
 _TRICKLE_SECONDS = 0.2
+_OF_PATHS = "runs_with_one_kind_for_each_path"
 PAGE = "docs/bridge-contract.md"
 T = TypeVar("T")
 
@@ -477,6 +480,21 @@ def rules(section: str) -> Callable[[type[T]], type[T]]:
         return tests
 
     return mark
+
+
+def of_paths(test: Callable[..., None]) -> Callable[..., None]:
+    """Have a test run once for each of the suite's `paths`, not for each of its kinds.
+
+    For what holds of a link whatever it carries: kinds of one path differ in the structure of
+    their messages alone, of which such a test has one carried at most, while all is well.
+    """
+    test.__dict__[_OF_PATHS] = True
+    return test
+
+
+def is_of_paths(test: Callable[..., None]) -> bool:
+    """Whether a test was marked with `of_paths`."""
+    return _OF_PATHS in vars(test)
 
 
 def rule_of(test: Callable[..., None]) -> str:
