@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
 from typing import Any
 
 from attrs import evolve
+from rpds import HashTrieMap
 
 from uoarm._adapt import check_edge
 from uoarm._control.engine import actions as act
@@ -173,6 +174,7 @@ class World:
         self.first = self.before = self.next = plans
         self.earlier: Plans | None = None  # with the candidates before, in the same revision
         self.seen: frozenset[Component] = frozenset()
+        self._texts: dict[int, tuple[object, Hashable]] = {}
 
     def copy(self) -> World:
         """Return a world that goes its own way from here; all that it holds is immutable."""
@@ -326,8 +328,23 @@ class World:
     def key(self) -> Hashable:
         """Return what distinguishes two worlds."""
         plans = self.plans.text, self.earlier and self.earlier.text
-        opened = sorted(map(str, self.open))
-        return repr((self.state, self.lanes, sorted(self.dead), opened, plans))
+        state = tuple(map(self._text, vars(self.state).values()))
+        lanes = tuple((lane, *map(self._text, actions)) for lane, actions in self.lanes.items())
+        return state, lanes, self.dead, self.open, plans
+
+    def _text(self, value: object) -> Hashable:
+        """Return a value as text: once, as what a step does not touch is the same object after it.
+
+        It is kept with its text, so that no other object has its number meanwhile.
+        """
+        known = self._texts.get(id(value))
+        if known is None:
+            if isinstance(value, HashTrieMap):
+                text: Hashable = frozenset((key, self._text(item)) for key, item in value.items())
+            else:
+                text = repr(value)
+            known = self._texts[id(value)] = value, text
+        return known[1]
 
     # What always holds.
 
@@ -335,8 +352,9 @@ class World:
         """Raise where an invariant does not hold."""
         state = self.state
         self._check_users()
-        assert set(self.replies) <= set(self.asked)
-        assert all(count == 1 for count in Counter(self.replies).values()), self.replies
+        replies = set(self.replies)
+        assert replies.issubset(self.asked)
+        assert len(replies) == len(self.replies), self.replies
         for part, batch in state.parts.items():
             if batch in state.batches:
                 assert part in state.batches[batch].parts
