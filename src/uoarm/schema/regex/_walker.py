@@ -64,6 +64,7 @@ class Walker:
         self.weight = 1
         self._steps: dict[tuple[WalkState, int], WalkState] = {}
         self._accepting: dict[WalkState, bool] = {}
+        self._closed: tuple[WalkState | None, int, set[Thread]] = (None, 0, set())
         self.start = self.begin(_START)
 
     def step(self, state: WalkState, code: int) -> WalkState:
@@ -118,7 +119,18 @@ class Walker:
         return frozenset(left)
 
     def _closure(self, state: WalkState, follows: int) -> set[Thread]:
+        # The same as last: a search tries one character after another from a state. What is
+        # charged for it stays the same, so that no verdict depends on it.
+        last, last_follows, reached = self._closed
+        if last is not state or last_follows != follows:
+            reached = self._closure_anew(state, follows)
+            self._closed = state, follows, reached
+        self.work[0] += len(reached)
+        return reached
+
+    def _closure_anew(self, state: WalkState, follows: int) -> set[Thread]:
         before, threads = state
+        always, asserts = self._nfa.always, self._nfa.asserts
         reached: set[Thread] = set()
         waiting = list(threads)
         while waiting:
@@ -129,14 +141,13 @@ class Walker:
             if len(reached) > _MAX_THREADS:
                 raise UnsupportedPatternError("it can go on in too many ways at once")
             at, duties = thread
-            waiting.extend((to, duties) for to in self._nfa.always[at])
-            waiting.extend(
-                (to, duties) for kind, to in self._nfa.asserts[at] if _holds(kind, before, follows)
-            )
+            waiting += [(to, duties) for to in always[at]]
+            for kind, to in asserts[at]:
+                if _holds(kind, before, follows):
+                    waiting.append((to, duties))
             for sign, number, to in self._looks[at]:
                 duty = (sign, number, self._lookers[number].begin(before))
                 waiting.append((to, duties | {duty}))
-        self.work[0] += len(reached)
         return reached
 
 
