@@ -126,8 +126,13 @@ def test_another_planner_takes_over_and_a_goal_is_cancelled(start: Start) -> Non
     assert line(driver) == "10000.0 m to go"
     ask(driver, "cancel")
     assert until_the_end(driver)[-1] == "canceled"
+    ask(driver, "10000 0")
+    assert line(driver) == "accepted"
     driver.terminate()
     assert driver.wait(patience()) == 0
+    driver = start("drive_to.py")  # each `where` waits for another scan
+    assert line(driver) == "where to?"
+    wait(lambda: len({where(), where(), where()}) == 1, "the base stands")
 
 
 def test_a_vehicle_of_another_standard_takes_over_and_the_base_after_it(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -378,6 +379,23 @@ def test_an_action_is_four_streams(make_bridge: Make, peer: Start) -> None:
     assert statuses.wait_until(lambda item: item["status"] == "rejected")
     with pytest.raises(MessageError, match="field order"):
         goal.send({"order": "five"})
+
+
+def test_goals_whose_input_closes_are_cancelled_and_those_of_another_go_on(
+    bridge: Bridge, peer: Start
+) -> None:
+    """No one is left who could cancel them: what they move stops."""
+    server = peer("server", "threads")
+    server.do("act", name="/fibonacci", period=0.05)
+    at = partial(endpoint, Role.INPUT, "/fibonacci", FIBONACCI, port="goal")
+    left, staying = sink(bridge, at()), sink(bridge, at())
+    staying.send({"order": 2000})
+    server.do("goal_begun")
+    left.send({"order": 2000})
+    left.close()  # also where it is not accepted yet
+    assert server.do("goal_ends")["ends"] == ["canceled"]
+    staying.close()
+    wait(lambda: server.do("goal_ends")["ends"] == ["canceled", "canceled"])
 
 
 def test_goals_of_a_killed_server_are_lost(bridge: Bridge, peer: Start) -> None:

@@ -39,12 +39,14 @@ class _Goal:
     """A goal that was sent as a stream and has not ended.
 
     Attributes:
+        sender: the input to which it was sent.
         servers: those that were there when it was sent.
         sent: the future of rclpy's handle.
         handle: rclpy's, once it was accepted.
         is_cancelled: whether its end was asked for.
     """
 
+    sender: object
     servers: ServerPresence = field(factory=ServerPresence)
     sent: Any = None
     handle: Any = None
@@ -139,8 +141,8 @@ class Action:
             raise BridgeError(f"{what} ended {status}: {result!r:.200}", FailureReason.REFUSED)
         return self._read_result(reply.result)
 
-    def send(self, message: Message) -> None:
-        """Send a goal without waiting for anything.
+    def send(self, message: Message, sender: object = None) -> None:
+        """Send a goal without waiting for anything; `abandon` of its sender cancels it.
 
         Raises:
             MessageError: the goal does not fit its native type.
@@ -150,7 +152,7 @@ class Action:
         if not self.ready():
             text = f"action {self.name} has no server"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
-        goal, own = _Goal(), uuid4().bytes
+        goal, own = _Goal(sender), uuid4().bytes
         goal.servers.holds(self._graph.servers(self._sending))
         with self._lock:
             if len(self._goals) >= _MOST_GOALS:
@@ -169,8 +171,15 @@ class Action:
     def cancel(self, message: Message) -> None:
         """Ask the server to cancel one goal, or all of ours when the id is empty."""
         wanted = message["goal_id"]
+        self._cancel_those(lambda name, _: wanted in {"", name})
+
+    def abandon(self, sender: object) -> None:
+        """Cancel the goals of a sender that is gone, as soon as each is accepted."""
+        self._cancel_those(lambda _, goal: goal.sender is sender)
+
+    def _cancel_those(self, are_meant: Callable[[str, _Goal], bool]) -> None:
         with self._lock:
-            goals = [goal for name, goal in self._goals.items() if wanted in {"", name}]
+            goals = [goal for name, goal in self._goals.items() if are_meant(name, goal)]
             for goal in goals:
                 goal.is_cancelled = True
             accepted = [goal.handle for goal in goals if goal.handle is not None]
@@ -350,7 +359,7 @@ class ActionSink(Sink):
     def __init__(self, endpoint: Endpoint, action: Action, part: str) -> None:
         super().__init__(endpoint)
         self._action = action
-        self._do = action.send if part == "goal" else action.cancel
+        self._part = part
 
     def _send(self, message: Message) -> None:
         """Send one goal, or cancel one.
@@ -359,7 +368,10 @@ class ActionSink(Sink):
             MessageError: it does not fit the native type.
             BridgeError: too many goals are under way.
         """
-        self._do(message)
+        if self._part == "goal":
+            self._action.send(message, self)
+        else:
+            self._action.cancel(message)
 
     def _close(self) -> None:
-        pass
+        self._action.abandon(self)  # no one is left who could cancel them
