@@ -62,10 +62,10 @@ class Interrupt:
 
     def __call__(self, frame: FrameType, event: str, argument: object) -> None:
         del argument
-        module = frame.f_globals.get("__name__", "")
-        if sys.version_info < (3, 11) and frame.f_lasti >= 0:
+        if event != "call" or (sys.version_info < (3, 11) and frame.f_lasti >= 0):
             return
-        if event == "call" and module.startswith("uoarm.") and module != Uninterrupted.__module__:
+        module = frame.f_globals.get("__name__", "")
+        if module.startswith("uoarm.") and module != Uninterrupted.__module__:
             self._left -= 1
             if not self._left:
                 sys.setprofile(None)
