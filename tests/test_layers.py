@@ -228,6 +228,8 @@ NOT_LOADED = {
     "import uoarm._host.__main__": (HEAVY - {"msgpack"})
     | {"client", "config", "environments", "server", "_adapt", "_control", "_resolve", "schema"},
     "import uoarm._host.remote_bridge": {"zenoh", "cryptography", "_host.machines"},
+    "import uoarm.server": FRAMEWORKS - {"websockets"}
+    | {"numpy", "cv2", "pint", "record._arrivals"},
     "import uoarm.cli": (HEAVY - {"click", "email"})
     | (PARTS_OF_OURS - {"cli"})
     | {"attrs", "_control"},

@@ -9,9 +9,9 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from uoarm import record as recorder
 from uoarm.errors import UoarmError, UsageError
 from uoarm.model import ControlMessage, QueuePolicy, Robot, to_json
-from uoarm.record import PlaybackStatus, Recording, RecordOptions
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server.access import Operation, RoleView
 from uoarm.server.session._client import ConnectedClient
@@ -79,7 +79,7 @@ class RecordingRequests:
                 client.require(operation, name.partition(".")[0])
         options = dict(wanted)
         del options["functions"]
-        size = RecordOptions.of(max_size=options.get("max_size")).max_size
+        size = recorder.RecordOptions.of(max_size=options.get("max_size")).max_size
         options["max_size"] = min(size or limits.recording_bytes, limits.recording_bytes)
         running = [item for item in self._robot.recordings() if not item.ended]
         own = sum(item.id in self._owners for item in running) + self._beginning
@@ -174,7 +174,7 @@ class RecordingRequests:
         )
         return self._player(name, client, view, status)
 
-    def _begin(self, functions: list[str], options: dict[str, Any]) -> Recording:
+    def _begin(self, functions: list[str], options: dict[str, Any]) -> recorder.Recording:
         make_folder(self._folder)
         used = sum(file["octets"] for file in _files(self._folder))
         if used >= self._limits.recordings_bytes:
@@ -192,13 +192,13 @@ class RecordingRequests:
         )
 
     def _needed(
-        self, client: ConnectedClient, recording: Recording, *, stops: bool
+        self, client: ConnectedClient, recording: recorder.Recording, *, stops: bool
     ) -> tuple[Operation, ...]:
         is_own = self._owners.get(recording.id) == client.principal
         return (Operation.RECORD,) if is_own or not stops else (Operation.RECORD, Operation.KILL)
 
     def _shown(
-        self, recording: Recording, client: ConnectedClient, view: RoleView
+        self, recording: recorder.Recording, client: ConnectedClient, view: RoleView
     ) -> dict[str, Any]:
         needed = self._needed(client, recording, stops=True)
         shown: dict[str, Any] = {
@@ -217,7 +217,7 @@ class RecordingRequests:
             shown["files"] = [Path(path).name for path in shown["files"]]
         return dict(view.data(shown))
 
-    def _position(self, name: str) -> PlaybackStatus | UoarmError:
+    def _position(self, name: str) -> recorder.PlaybackStatus | UoarmError:
         try:
             return self._robot.playback(name, timeout=_DUMP_SECONDS)
         except UoarmError as error:
@@ -228,7 +228,7 @@ class RecordingRequests:
         name: str,
         client: ConnectedClient,
         view: RoleView,
-        found: PlaybackStatus | UoarmError,
+        found: recorder.PlaybackStatus | UoarmError,
     ) -> dict[str, Any]:
         functions = _functions_of(self._robot.config, name)
         role = client.role
