@@ -12,52 +12,43 @@ import uoarm
 from uoarm._support.aio_deadlines import result_within
 
 
-def test_a_result_in_time_an_error_and_a_late_one() -> None:
+async def test_a_result_in_time_an_error_and_a_late_one() -> None:
     async def fail() -> None:
         raise ValueError("no")
 
-    async def work() -> None:
-        assert await result_within(20, asyncio.sleep(0, "done")) == "done"
-        with pytest.raises(ValueError, match="no"):
-            await result_within(20, fail())
-        never = asyncio.get_running_loop().create_future()
-        with pytest.raises(asyncio.TimeoutError):
-            await result_within(0.001, never)
-        assert never.cancelled()
-
-    asyncio.run(work())
+    assert await result_within(20, asyncio.sleep(0, "done")) == "done"
+    with pytest.raises(ValueError, match="no"):
+        await result_within(20, fail())
+    never = asyncio.get_running_loop().create_future()
+    with pytest.raises(asyncio.TimeoutError):
+        await result_within(0.001, never)
+    assert never.cancelled()
 
 
 @pytest.mark.parametrize("turns", range(6))
-def test_a_cancellation_at_the_moment_of_the_result_is_not_lost(turns: int) -> None:
+async def test_a_cancellation_at_the_moment_of_the_result_is_not_lost(turns: int) -> None:
     """Whatever turn of the loop it comes in: before, with or after the result."""
 
-    async def work() -> None:
-        future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        waiting = asyncio.ensure_future(result_within(20, future))
+    future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+    waiting = asyncio.ensure_future(result_within(20, future))
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    future.set_result("done")
+    for _ in range(turns):
         await asyncio.sleep(0)
-        await asyncio.sleep(0)
-        future.set_result("done")
-        for _ in range(turns):
-            await asyncio.sleep(0)
-        was_pending = waiting.cancel()
-        await asyncio.wait({waiting})
-        assert waiting.cancelled() == was_pending
-
-    asyncio.run(work())
+    was_pending = waiting.cancel()
+    await asyncio.wait({waiting})
+    assert waiting.cancelled() == was_pending
 
 
-def test_a_cancelled_waiter_cancels_what_it_waits_for() -> None:
-    async def work() -> None:
-        future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        waiting = asyncio.ensure_future(result_within(20, future))
-        await asyncio.sleep(0)
-        waiting.cancel()
-        await asyncio.wait({waiting})
-        assert waiting.cancelled()
-        assert future.cancelled()
-
-    asyncio.run(work())
+async def test_a_cancelled_waiter_cancels_what_it_waits_for() -> None:
+    future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+    waiting = asyncio.ensure_future(result_within(20, future))
+    await asyncio.sleep(0)
+    waiting.cancel()
+    await asyncio.wait({waiting})
+    assert waiting.cancelled()
+    assert future.cancelled()
 
 
 def test_nothing_uses_wait_for() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
+import inspect
 import itertools
 import os
 import random
@@ -39,6 +41,8 @@ SPARE_WORKERS = 4
 TOGETHER = {"tests/examples/test_healthbot.py", "tests/packaging/test_distributions.py"}
 # The last resort against a test that hangs where nothing limits its wait.
 HANGING = 10
+# Of a test that is a coroutine: its report shows where it hung.
+_PATIENT = 3
 # Processor time, which a busy machine does not lengthen, from which on a test is a long one.
 LONG_SECONDS = 120.0
 # Of the collector of garbage: from which time on what stays is left out of a look at everything.
@@ -184,6 +188,17 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
         pytest.fail(
             f"{spent:.0f} s of processor time: make it less, or mark it long", pytrace=False
         )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine, in a loop of its own."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    names = inspect.signature(pyfuncitem.obj).parameters
+    test = pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names})
+    asyncio.run(asyncio.wait_for(test, _PATIENT * patience()))
+    return True
 
 
 @pytest.hookimpl(wrapper=True)

@@ -43,6 +43,21 @@ def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
     return begin
 
 
+def test_a_test_that_is_a_coroutine_runs_in_a_loop_of_its_own(run: Run) -> None:
+    ran = run("""
+        import asyncio
+
+        async def test_right(tmp_path):
+            await asyncio.sleep(0)
+
+        async def test_wrong():
+            await asyncio.sleep(0)
+            assert False, "it ran"
+        """)
+    ran.assert_outcomes(passed=1, failed=1)
+    ran.stdout.fnmatch_lines(["*AssertionError: it ran*"])
+
+
 LEAKS = {
     "threading.Thread(target=threading.Event().wait, name='stray', daemon=True).start()": (
         "thread 'stray'"

@@ -60,13 +60,10 @@ def robot(bridge: MemoryBridge, camera: Emitter, echo: Loop) -> Iterator[RobotMa
         yield robot
 
 
-def test_nothing_in_time_is_a_timeout(robot: RobotManager) -> None:
-    async def play() -> None:
-        async with await AsyncRobotManager(robot).request("camera") as connection:
-            with pytest.raises(TimeoutError, match=r"no message within 0\.01 s"):
-                await connection.get(0.01)
-
-    asyncio.run(play())
+async def test_nothing_in_time_is_a_timeout(robot: RobotManager) -> None:
+    async with await AsyncRobotManager(robot).request("camera") as connection:
+        with pytest.raises(TimeoutError, match=r"no message within 0\.01 s"):
+            await connection.get(0.01)
 
 
 def test_what_is_there_needs_no_time(camera: Emitter, robot: RobotManager) -> None:
@@ -79,34 +76,28 @@ def test_what_is_there_needs_no_time(camera: Emitter, robot: RobotManager) -> No
 
 
 @pytest.mark.parametrize("turns", range(6))
-def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(
+async def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(
     camera: Emitter, robot: RobotManager, turns: int
 ) -> None:
-    async def play() -> None:
-        async with await AsyncRobotManager(robot).request("camera") as connection:
-            reading = asyncio.ensure_future(connection.get(patience()))
-            await asyncio.sleep(0)  # it waits now
-            camera.emit(5)
-            for _ in range(turns):
-                await asyncio.sleep(0)
-            asked = reading.cancel()
-            await asyncio.wait({reading})
-            assert reading.cancelled() is asked
-            assert (await connection.get(patience()) if asked else reading.result()) == 5
-
-    asyncio.run(play())
+    async with await AsyncRobotManager(robot).request("camera") as connection:
+        reading = asyncio.ensure_future(connection.get(patience()))
+        await asyncio.sleep(0)  # it waits now
+        camera.emit(5)
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        asked = reading.cancel()
+        await asyncio.wait({reading})
+        assert reading.cancelled() is asked
+        assert (await connection.get(patience()) if asked else reading.result()) == 5
 
 
-def test_twins_that_are_made_have_the_types_of_what_they_await(robot: RobotManager) -> None:
-    async def play() -> None:
-        twin = AsyncRobotManager(robot)
-        assert_type(await twin.resolve("camera", timeout=patience()), Plan)
-        assert_type(twin.status(), StatusMap)
-        async with await twin.request("camera", as_type=int) as connection:
-            assert_type(await connection.flush(patience()), bool)
-            assert_type(connection.status(), ConnectionStatus)
-
-    asyncio.run(play())
+async def test_twins_that_are_made_have_the_types_of_what_they_await(robot: RobotManager) -> None:
+    twin = AsyncRobotManager(robot)
+    assert_type(await twin.resolve("camera", timeout=patience()), Plan)
+    assert_type(twin.status(), StatusMap)
+    async with await twin.request("camera", as_type=int) as connection:
+        assert_type(await connection.flush(patience()), bool)
+        assert_type(connection.status(), ConnectionStatus)
 
 
 def _members(one: object) -> dict[str, Any]:
@@ -130,40 +121,34 @@ def test_each_method_has_a_twin_with_the_same_parameters(threaded: type, twin: t
             assert _parameters(found[name]) == _parameters(member), name
 
 
-def test_attributes_have_twins(robot: RobotManager) -> None:
-    async def play() -> None:
-        twin = AsyncRobotManager(robot)
-        assert (twin.config, twin.registry) == (robot.config, robot.registry)
-        async with await twin.request("camera") as connection:
-            (threaded,) = robot.connections()
-            for name in _members(threaded):
-                assert getattr(connection, name) == getattr(threaded, name)
-            assert repr(connection) == "<AsyncConnection c1 to 'camera': running, camera>"
-            (same,) = twin.connections()
-            assert same.id == "c1"
-        assert repr(twin) == "<AsyncRobotManager in memory: 2 functions, 0 connections>"
-
-    asyncio.run(play())
+async def test_attributes_have_twins(robot: RobotManager) -> None:
+    twin = AsyncRobotManager(robot)
+    assert (twin.config, twin.registry) == (robot.config, robot.registry)
+    async with await twin.request("camera") as connection:
+        (threaded,) = robot.connections()
+        for name in _members(threaded):
+            assert getattr(connection, name) == getattr(threaded, name)
+        assert repr(connection) == "<AsyncConnection c1 to 'camera': running, camera>"
+        (same,) = twin.connections()
+        assert same.id == "c1"
+    assert repr(twin) == "<AsyncRobotManager in memory: 2 functions, 0 connections>"
 
 
-def test_a_request_that_is_cancelled_leaves_nothing_open(
+async def test_a_request_that_is_cancelled_leaves_nothing_open(
     bridge: MemoryBridge, robot: RobotManager
 ) -> None:
-    async def play() -> None:
-        twin = AsyncRobotManager(robot)
-        for turns in range(10):
-            with hanging(bridge, "_open_source") as hang:
-                asked = asyncio.ensure_future(twin.request("camera"))
-                await asyncio.to_thread(hang.entered.wait, 10)
-                if turns % 2:
-                    hang.release()  # it opens as it is cancelled
-                asked.cancel()
-                await asyncio.wait({asked})
-                assert asked.cancelled()
-            await asyncio.to_thread(wait, lambda: not robot.connections())
-            await asyncio.to_thread(wait, lambda: bridge.open_channels == 0)
-
-    asyncio.run(play())
+    twin = AsyncRobotManager(robot)
+    for turns in range(10):
+        with hanging(bridge, "_open_source") as hang:
+            asked = asyncio.ensure_future(twin.request("camera"))
+            await asyncio.to_thread(hang.entered.wait, 10)
+            if turns % 2:
+                hang.release()  # it opens as it is cancelled
+            asked.cancel()
+            await asyncio.wait({asked})
+            assert asked.cancelled()
+        await asyncio.to_thread(wait, lambda: not robot.connections())
+        await asyncio.to_thread(wait, lambda: bridge.open_channels == 0)
 
 
 def test_one_that_hangs_does_not_keep_others_from_being_killed(
@@ -184,53 +169,44 @@ def test_one_that_hangs_does_not_keep_others_from_being_killed(
     wait(lambda: not robot.connections())
 
 
-def test_callbacks_and_listeners_are_called_in_the_loop(
+async def test_callbacks_and_listeners_are_called_in_the_loop(
     bridge: MemoryBridge, camera: Emitter, robot: RobotManager
 ) -> None:
-    async def play() -> None:
-        twin, loop = AsyncRobotManager(robot), threading.current_thread()
-        received: asyncio.Queue[tuple[threading.Thread, object]] = asyncio.Queue()
+    twin, loop = AsyncRobotManager(robot), threading.current_thread()
+    received: asyncio.Queue[tuple[threading.Thread, object]] = asyncio.Queue()
 
-        def receive(what: Message | StatusEvent) -> None:
-            received.put_nowait((threading.current_thread(), what))
+    def receive(what: Message | StatusEvent) -> None:
+        received.put_nowait((threading.current_thread(), what))
 
-        async with await twin.request("camera", on_message=receive) as connection:
-            camera.emit(1)
-            assert await received.get() == (loop, 1)
-            end = connection.subscribe(lambda _: end())  # may end itself
-            camera.emit(2)
-            assert await received.get() == (loop, 2)
-            end_listening = twin.listen(receive)
-            bridge.report(Health.DEGRADED, "hot")
-            thread, event = await received.get()
-            while isinstance(event, StatusEvent) and event.subject != "bridge one":
-                thread, event = await received.get()  # of the request
-            assert thread is loop
-            assert isinstance(event, StatusEvent)
-            end_listening()
-
-    asyncio.run(play())
+    async with await twin.request("camera", on_message=receive) as connection:
+        camera.emit(1)
+        assert await received.get() == (loop, 1)
+        end = connection.subscribe(lambda _: end())  # may end itself
+        camera.emit(2)
+        assert await received.get() == (loop, 2)
+        end_listening = twin.listen(receive)
+        bridge.report(Health.DEGRADED, "hot")
+        thread, event = await received.get()
+        while isinstance(event, StatusEvent) and event.subject != "bridge one":
+            thread, event = await received.get()  # of the request
+        assert thread is loop
+        assert isinstance(event, StatusEvent)
+        end_listening()
 
 
-def test_what_is_sent_can_be_flushed(robot: RobotManager) -> None:
-    async def play() -> None:
-        async with await AsyncRobotManager(robot).request("echo") as connection:
-            await connection.send(3)
-            assert await connection.flush(patience())
-            assert await connection.get(patience()) == 3
-            await connection.close()
-            assert (connection.ended, connection.cause, connection.gaps) == (True, "", ())
-
-    asyncio.run(play())
+async def test_what_is_sent_can_be_flushed(robot: RobotManager) -> None:
+    async with await AsyncRobotManager(robot).request("echo") as connection:
+        await connection.send(3)
+        assert await connection.flush(patience())
+        assert await connection.get(patience()) == 3
+        await connection.close()
+        assert (connection.ended, connection.cause, connection.gaps) == (True, "", ())
 
 
-def test_it_reads_a_file_and_says_what_can_be_had(tmp_path: Path) -> None:
+async def test_it_reads_a_file_and_says_what_can_be_had(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text("{version: 1, bridges: {}, functions: {}}")
 
-    async def play() -> None:
-        async with AsyncRobotManager.from_file(file) as twin:
-            assert await twin.check_availability() == ()
-            assert not twin.status().bridges
-
-    asyncio.run(play())
+    async with AsyncRobotManager.from_file(file) as twin:
+        assert await twin.check_availability() == ()
+        assert not twin.status().bridges

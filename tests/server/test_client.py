@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import re
 import threading
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,26 +50,19 @@ Work = Callable[[RemoteRobot], Awaitable[None]]
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
 
 
-def run(server: Server, work: Work, *, binary: bool = True, token: str | None = None) -> None:
-    async def within() -> None:
-        url = f"ws://127.0.0.1:{server.ports[0]}/"
-        async with connect(url, binary=binary, token=token) as client:
-            await asyncio.wait_for(work(client), patience())
-
-    asyncio.run(within())
+def joined(server: Server, **options: Any) -> AbstractAsyncContextManager[RemoteRobot]:
+    return connect(f"ws://127.0.0.1:{server.ports[0]}/", **options)
 
 
 @FORMS
-def test_messages_come_and_gaps_are_counted(server: Server, binary: bool) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_messages_come_and_gaps_are_counted(server: Server, binary: bool) -> None:
+    async with joined(server, binary=binary) as client:
         stream = await client.request("numbers", queue=QueuePolicy(length=100))
         script.put({"value": 1}, {"value": object()}, {"value": 3}, END)
         assert [message["value"] async for message in stream] == [1, 3]
         assert stream.lost == 1
         with pytest.raises(ConnectionClosedError, match="finished"):
             await stream.get()
-
-    run(server, work, binary=binary)
 
 
 @pytest.mark.parametrize(
@@ -78,12 +72,12 @@ def test_messages_come_and_gaps_are_counted(server: Server, binary: bool) -> Non
         ("doubled", "numbers is degraded: its output 'default' gave what does not match"),
     ],
 )
-def test_a_silence_says_what_was_refused_last(
+async def test_a_silence_says_what_was_refused_last(
     server: Server, monkeypatch: pytest.MonkeyPatch, function: str, why: str
 ) -> None:
     monkeypatch.setattr("uoarm.client._client._DIAGNOSIS_SECONDS", patience())
 
-    async def work(client: RemoteRobot) -> None:
+    async with joined(server) as client:
         stream = await client.request(function)
         script.put({"value": 1}, {"value": object()})
         await stream.get(patience())
@@ -96,12 +90,10 @@ def test_a_silence_says_what_was_refused_last(
         script.put({"value": 2}, END)
         await stream.get(patience())
 
-    run(server, work)
-
 
 @FORMS
-def test_messages_are_sent_in_order(server: Server, binary: bool) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_messages_are_sent_in_order(server: Server, binary: bool) -> None:
+    async with joined(server, binary=binary) as client:
         async with await client.request("echo") as echo:
             assert echo.inputs == ("default",)
             await asyncio.gather(*(echo.send({"value": value}) for value in range(50)))
@@ -112,8 +104,6 @@ def test_messages_are_sent_in_order(server: Server, binary: bool) -> None:
                 await echo.send({"value": 1}, "other")
         await echo.kill()
         assert not (await client.status())["own"]
-
-    run(server, work, binary=binary)
 
 
 @dataclass
@@ -128,8 +118,8 @@ class Picture:
 
 
 @FORMS
-def test_messages_come_and_go_as_types_of_the_client(server: Server, binary: bool) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_messages_come_and_go_as_types_of_the_client(server: Server, binary: bool) -> None:
+    async with joined(server, binary=binary) as client:
         async with await client.request("picture", as_type=Picture) as pictures:
             assert_type(pictures, RemoteStream[Picture])
             script.put({"width": 1, "data": b"\x00\xff"})
@@ -146,20 +136,16 @@ def test_messages_come_and_go_as_types_of_the_client(server: Server, binary: boo
         with pytest.raises(UsageError, match="the reply of 'add' may give messages that are no"):
             await client.call("add", {"a": 1, "b": 2}, as_type=Picture)
 
-    run(server, work, binary=binary)
 
-
-def test_octets_stay_octets(server: Server) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_octets_stay_octets(server: Server) -> None:
+    async with joined(server) as client:
         stream = await client.request("picture")
         script.put({"width": 1, "data": bytes(10_000)})
         assert (await stream.get(patience()))["data"] == bytes(10_000)
 
-    run(server, work)
 
-
-def test_calls_and_their_errors(server: Server) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_calls_and_their_errors(server: Server) -> None:
+    async with joined(server) as client:
         assert await client.call("add", {"a": 1, "b": 2}) == {"value": 3}
         with pytest.raises(BridgeError, match="cannot do 5"):
             await client.call("broken", {"value": 5})
@@ -172,32 +158,27 @@ def test_calls_and_their_errors(server: Server) -> None:
         with pytest.raises(UsageError):
             await client.call("numbers", {})
 
-    run(server, work)
 
-
-def test_a_slow_call_holds_up_nothing(server: Server) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_a_slow_call_holds_up_nothing(server: Server) -> None:
+    async with joined(server) as client:
         slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
         assert await client.call("add", {"a": 1, "b": 2}) == {"value": 3}
         script.gate.set()
         assert await slow == {"value": 1}
 
-    run(server, work)
 
-
-def test_looking_around(server: Server) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_looking_around(server: Server) -> None:
+    async with joined(server) as client:
         assert {"numbers", "add"} <= {function["name"] for function in await client.functions()}
         assert "numbers" in (await client.resolve("doubled"))["text"]
         assert client.hello["protocol"] == 1
         async with await client.request("numbers"):
             assert (await client.status())["own"][0]["received"] == 0
 
-    run(server, work)
 
+async def test_changes_are_watched(server: Server) -> None:
+    async with joined(server) as client:
 
-def test_changes_are_watched(server: Server) -> None:
-    async def work(client: RemoteRobot) -> None:
         async def changes() -> list[str]:
             seen: list[str] = []
             async for event in client.watch():
@@ -212,11 +193,11 @@ def test_changes_are_watched(server: Server) -> None:
             pass
         assert await watching == ["opening", "running", "closed"]
 
-    run(server, work)
 
-
-def test_a_request_that_is_given_up_is_given_back(server: Server, robot: RobotManager) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_a_request_that_is_given_up_is_given_back(
+    server: Server, robot: RobotManager
+) -> None:
+    async with joined(server) as client:
         asking = asyncio.ensure_future(client.request("numbers"))
         # In turns of the loop and then without it, so that the answer is not read before.
         while not client._link._unanswered:  # noqa: ASYNC110 - there is no event of it
@@ -227,14 +208,12 @@ def test_a_request_that_is_given_up_is_given_back(server: Server, robot: RobotMa
             await asking
         await asyncio.to_thread(wait, lambda: not robot.status().connections)
 
-    run(server, work)
-
 
 @pytest.mark.parametrize("is_before", [True, False], ids=["before", "after"])
-def test_a_request_that_is_given_up_in_the_turn_of_its_answer_is_given_back(
+async def test_a_request_that_is_given_up_in_the_turn_of_its_answer_is_given_back(
     server: Server, robot: RobotManager, is_before: bool
 ) -> None:
-    async def work(client: RemoteRobot) -> None:
+    async with joined(server) as client:
         take = client._link._take
 
         def take_and_give_up(received: Mapping[str, Any]) -> None:
@@ -249,8 +228,6 @@ def test_a_request_that_is_given_up_in_the_turn_of_its_answer_is_given_back(
         with pytest.raises(asyncio.CancelledError):
             await asking
         await asyncio.to_thread(wait, lambda: not robot.status().connections)
-
-    run(server, work)
 
 
 class Reaching(MemoryBridge):
@@ -284,20 +261,23 @@ functions: {reach: {components: [{name: arm, bridge: arm, service: {endpoint: [r
 """
 
 
-def test_a_call_that_is_given_up_is_cancelled_there() -> None:
-    arm = Reaching()
+@asynccontextmanager
+async def reaching(arm: Reaching, **options: Any) -> AsyncIterator[RemoteRobot]:
+    robot = RobotManager(loads(REACHING), registry=Registry(()), bridges={"arm": arm})
+    with robot, serve_in_thread(robot, ServerOptions(port=0)) as server:
+        async with joined(server, **options) as client:
+            yield client
 
-    async def work(client: RemoteRobot) -> None:
+
+async def test_a_call_that_is_given_up_is_cancelled_there() -> None:
+    arm = Reaching()
+    async with reaching(arm) as client:
         calling = asyncio.ensure_future(client.call("reach", {}, timeout=patience()))
         await asyncio.to_thread(arm.called.wait, patience())
         calling.cancel()
         with pytest.raises(asyncio.CancelledError):
             await calling
         assert await asyncio.to_thread(arm.over.wait, patience())
-
-    robot = RobotManager(loads(REACHING), registry=Registry(()), bridges={"arm": arm})
-    with robot, serve_in_thread(robot, ServerOptions(port=0)) as server:
-        run(server, work)
 
 
 def asked_in_thread(
@@ -311,11 +291,10 @@ def asked_in_thread(
 
 
 @FORMS
-def test_a_thread_asks_beside_the_loop(binary: bool) -> None:
+async def test_a_thread_asks_beside_the_loop(binary: bool) -> None:
     """Of JSON the loop writes; of CBOR the thread does."""
     arm = Reaching()
-
-    async def work(client: RemoteRobot) -> None:
+    async with reaching(arm, binary=binary) as client:
         with pytest.raises(ResolutionError):
             await asked_in_thread(client, "nowhere", patience())
         with pytest.raises(ConnectionClosedError, match="begun anew"):
@@ -327,15 +306,10 @@ def test_a_thread_asks_beside_the_loop(binary: bool) -> None:
         assert await asyncio.to_thread(arm.over.wait, patience())
         assert {asked.fields["op"] for asked in client._asked.values()} <= {"Kill"}
 
-    robot = RobotManager(loads(REACHING), registry=Registry(()), bridges={"arm": arm})
-    with robot, serve_in_thread(robot, ServerOptions(port=0)) as server:
-        run(server, work, binary=binary)
 
-
-def test_what_a_thread_gave_up_before_it_was_sent_never_is() -> None:
+async def test_what_a_thread_gave_up_before_it_was_sent_never_is() -> None:
     arm = Reaching()
-
-    async def work(client: RemoteRobot) -> None:
+    async with reaching(arm) as client:
         client._link._end_sending()  # as while the connection is made anew
         with pytest.raises(TimeoutError):
             await asked_in_thread(client, "reach", 0.05)
@@ -344,15 +318,11 @@ def test_what_a_thread_gave_up_before_it_was_sent_never_is() -> None:
         assert not client._sending
         assert not arm.called.is_set()
 
-    robot = RobotManager(loads(REACHING), registry=Registry(()), bridges={"arm": arm})
-    with robot, serve_in_thread(robot, ServerOptions(port=0)) as server:
-        run(server, work)
 
-
-def test_when_the_server_closes_everything_that_waits_fails(serve: Serve) -> None:
+async def test_when_the_server_closes_everything_that_waits_fails(serve: Serve) -> None:
     server = serve(Limits(message_bytes=2000))
 
-    async def work(client: RemoteRobot) -> None:
+    async with joined(server) as client:
         stream = await client.request("numbers")
         slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
         await client.status()
@@ -365,10 +335,8 @@ def test_when_the_server_closes_everything_that_waits_fails(serve: Serve) -> Non
         with pytest.raises(ConnectionClosedError):
             await client.functions()
 
-    run(server, work)
 
-
-def test_a_token_is_shown_and_a_denial_has_its_code(serve: Serve, tmp_path: Path) -> None:
+async def test_a_token_is_shown_and_a_denial_has_its_code(serve: Serve, tmp_path: Path) -> None:
     access = tmp_path / "access.yaml"
     access.write_text(
         "version: 1\nroles: {none: {}}\n"
@@ -376,14 +344,13 @@ def test_a_token_is_shown_and_a_denial_has_its_code(serve: Serve, tmp_path: Path
     )
     server = serve(access=access)
 
-    async def work(client: RemoteRobot) -> None:
+    async with joined(server, token="secret") as client:
         with pytest.raises(ServerError) as denied:
             await client.request("numbers")
         assert denied.value.code == "denied"
-
-    run(server, work, token="secret")
     with pytest.raises(InvalidStatus):
-        run(server, work)
+        async with joined(server):
+            """It is not let in without one."""
 
 
 HELLO = '{"op":"Status","type":"hello","jsonMessage":{}}'
@@ -403,19 +370,16 @@ HELLO = '{"op":"Status","type":"hello","jsonMessage":{}}'
     ],
     ids=lambda item: str(item[:50]),
 )
-def test_a_server_that_sends_rubbish_is_left_with_a_plain_error(frame: str | bytes) -> None:
+async def test_a_server_that_sends_rubbish_is_left_with_a_plain_error(frame: str | bytes) -> None:
     async def rubbish(socket: ServerConnection) -> None:
         await socket.send(HELLO)
         async for asked in socket:
             if b"Request" in (asked if isinstance(asked, bytes) else asked.encode()):
                 await socket.send(frame)
 
-    async def meet() -> None:
-        protocols = [Subprotocol("uoarm.v1.json")]
-        async with serve(rubbish, "127.0.0.1", 0, subprotocols=protocols) as server:
-            port = next(iter(server.sockets)).getsockname()[1]
-            async with connect(f"ws://127.0.0.1:{port}", binary=False) as client:
-                with pytest.raises(ConnectionClosedError, match="sent what is no message"):
-                    await asyncio.wait_for(client.request("numbers"), patience())
-
-    asyncio.run(meet())
+    protocols = [Subprotocol("uoarm.v1.json")]
+    async with serve(rubbish, "127.0.0.1", 0, subprotocols=protocols) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        async with connect(f"ws://127.0.0.1:{port}", binary=False) as client:
+            with pytest.raises(ConnectionClosedError, match="sent what is no message"):
+                await asyncio.wait_for(client.request("numbers"), patience())

@@ -39,14 +39,7 @@ async def connected(attend: Serve, silence: float | None = None) -> AsyncIterato
             yield opened
 
 
-def run(work: Callable[[], Awaitable[None]]) -> None:
-    async def limited() -> None:
-        await work()
-
-    asyncio.run(asyncio.wait_for(limited(), patience()))
-
-
-def test_messages_are_handed_over_in_order_those_that_wait_first() -> None:
+async def test_messages_are_handed_over_in_order_those_that_wait_first() -> None:
     async def attend(connection: ServerConnection) -> None:
         await connection.send("greeting")
         for number in range(100):
@@ -54,17 +47,14 @@ def test_messages_are_handed_over_in_order_those_that_wait_first() -> None:
         await connection.send(["in ", "three ", "pieces"])
         await connection.send([b"in ", b"two"])
 
-    async def work() -> None:
-        async with connected(attend) as connection:
-            assert await connection.next_message() == "greeting"
-            came: list[Received] = []
-            await connection.hand_over(came.append)
-            assert came == [*map(str, range(100)), "in three pieces", b"in two"]
-
-    run(work)
+    async with connected(attend) as connection:
+        assert await connection.next_message() == "greeting"
+        came: list[Received] = []
+        await connection.hand_over(came.append)
+        assert came == [*map(str, range(100)), "in three pieces", b"in two"]
 
 
-def test_what_is_read_before_it_is_taken_is_bounded() -> None:
+async def test_what_is_read_before_it_is_taken_is_bounded() -> None:
     sent: list[int] = []
 
     async def attend(connection: ServerConnection) -> None:
@@ -72,47 +62,41 @@ def test_what_is_read_before_it_is_taken_is_bounded() -> None:
             await connection.send(bytes(65_536))
             sent.append(number)
 
-    async def work() -> None:
-        async with connected(attend) as connection:
+    async with connected(attend) as connection:
+        await asyncio.sleep(0)
+        while connection.transport.is_reading():  # noqa: ASYNC110 - there is no event of it
             await asyncio.sleep(0)
-            while connection.transport.is_reading():  # noqa: ASYNC110 - there is no event of it
-                await asyncio.sleep(0)
-            assert len(connection._waiting) < 64
-            count = 0
+        assert len(connection._waiting) < 64
+        count = 0
 
-            def take(message: Received) -> None:
-                nonlocal count
-                count += 1
+        def take(message: Received) -> None:
+            nonlocal count
+            count += 1
 
-            await connection.hand_over(take)
-            assert count == 2000
-
-    run(work)
+        await connection.hand_over(take)
+        assert count == 2000
 
 
-def test_what_taking_a_message_raises_ends_the_reading() -> None:
+async def test_what_taking_a_message_raises_ends_the_reading() -> None:
     async def attend(connection: ServerConnection) -> None:
         for number in range(3):
             await connection.send(str(number))
         await connection.wait_closed()
 
-    async def work() -> None:
-        came: list[Received] = []
+    came: list[Received] = []
 
-        def take(message: Received) -> None:
-            came.append(message)
-            if message == "1":
-                raise ValueError("strange")
+    def take(message: Received) -> None:
+        came.append(message)
+        if message == "1":
+            raise ValueError("strange")
 
-        async with connected(attend) as connection:
-            with pytest.raises(ValueError, match="strange"):
-                await connection.hand_over(take)
-            assert came == ["0", "1"]
-
-    run(work)
+    async with connected(attend) as connection:
+        with pytest.raises(ValueError, match="strange"):
+            await connection.hand_over(take)
+        assert came == ["0", "1"]
 
 
-def test_a_text_that_is_none_and_an_end_without_a_word_are_errors() -> None:
+async def test_a_text_that_is_none_and_an_end_without_a_word_are_errors() -> None:
     async def garble(connection: ServerConnection) -> None:
         connection.transport.write(b"\x81\x02\xff\xff")
         await connection.wait_closed()
@@ -120,16 +104,13 @@ def test_a_text_that_is_none_and_an_end_without_a_word_are_errors() -> None:
     async def cut(connection: ServerConnection) -> None:
         connection.transport.abort()
 
-    async def work() -> None:
-        for attend in (garble, cut):
-            async with connected(attend) as connection:
-                with pytest.raises(ConnectionClosedError):
-                    await connection.hand_over(lambda _: None)
-
-    run(work)
+    for attend in (garble, cut):
+        async with connected(attend) as connection:
+            with pytest.raises(ConnectionClosedError):
+                await connection.hand_over(lambda _: None)
 
 
-def test_threads_write_whole_messages_beside_the_loop() -> None:
+async def test_threads_write_whole_messages_beside_the_loop() -> None:
     """Small and large ones, more than the kernel takes, while the loop writes, too."""
     came: list[bytes] = []
     count, threads = 60, 4
@@ -138,56 +119,50 @@ def test_threads_write_whole_messages_beside_the_loop() -> None:
         while len(came) < threads * count + count:
             came.append(bytes(await connection.recv(decode=False)))
 
-    async def work() -> None:
-        async with connected(attend) as connection:
+    async with connected(attend) as connection:
 
-            def write(name: int) -> None:
-                for number in range(count):
-                    size = 400_000 if number % 7 == 0 else 10
-                    content = bytes([name, number]) * size
-                    while not connection.try_send(content):
-                        future = asyncio.run_coroutine_threadsafe(
-                            connection.send_whole(content, text=False), connection.loop
-                        )
-                        future.result(patience())
-                        break
-
-            writers = [threading.Thread(target=write, args=(name,)) for name in range(threads)]
-            for writer in writers:
-                writer.start()
+        def write(name: int) -> None:
             for number in range(count):
-                await connection.send_whole(bytes([threads, number]), text=False)
-                await asyncio.sleep(0)
-            await connection.hand_over(lambda _: None)
-            for writer in writers:
-                await asyncio.to_thread(writer.join)
-        assert len(came) == threads * count + count
-        assert all(len(set(zip(item[::2], item[1::2], strict=True))) == 1 for item in came)
-        for name in range(threads + 1):
-            assert [item[1] for item in came if item[0] == name] == list(range(count))
+                size = 400_000 if number % 7 == 0 else 10
+                content = bytes([name, number]) * size
+                while not connection.try_send(content):
+                    future = asyncio.run_coroutine_threadsafe(
+                        connection.send_whole(content, text=False), connection.loop
+                    )
+                    future.result(patience())
+                    break
 
-    run(work)
+        writers = [threading.Thread(target=write, args=(name,)) for name in range(threads)]
+        for writer in writers:
+            writer.start()
+        for number in range(count):
+            await connection.send_whole(bytes([threads, number]), text=False)
+            await asyncio.sleep(0)
+        await connection.hand_over(lambda _: None)
+        for writer in writers:
+            await asyncio.to_thread(writer.join)
+    assert len(came) == threads * count + count
+    assert all(len(set(zip(item[::2], item[1::2], strict=True))) == 1 for item in came)
+    for name in range(threads + 1):
+        assert [item[1] for item in came if item[0] == name] == list(range(count))
 
 
-def test_nothing_is_written_to_a_connection_that_ends_and_no_descriptor_is_left() -> None:
+async def test_nothing_is_written_to_a_connection_that_ends_and_no_descriptor_is_left() -> None:
     async def attend(connection: ServerConnection) -> None:
         await connection.recv()
         connection.transport.abort()
 
-    async def work() -> None:
-        async with connected(attend) as connection:
-            assert connection.try_send(b"one")
-            near = connection._near
-            assert isinstance(near, socket.socket)
-            with pytest.raises(ConnectionClosedError):
-                await connection.hand_over(lambda _: None)
-            assert near.fileno() == -1
-            assert not connection.try_send(b"two")
-
-    run(work)
+    async with connected(attend) as connection:
+        assert connection.try_send(b"one")
+        near = connection._near
+        assert isinstance(near, socket.socket)
+        with pytest.raises(ConnectionClosedError):
+            await connection.hand_over(lambda _: None)
+        assert near.fileno() == -1
+        assert not connection.try_send(b"two")
 
 
-def test_a_peer_that_answers_nothing_is_dropped_without_waiting_for_a_goodbye() -> None:
+async def test_a_peer_that_answers_nothing_is_dropped_without_waiting_for_a_goodbye() -> None:
     over = asyncio.Event()
 
     async def attend(connection: ServerConnection) -> None:
@@ -195,18 +170,15 @@ def test_a_peer_that_answers_nothing_is_dropped_without_waiting_for_a_goodbye() 
         await over.wait()
         connection.transport.abort()
 
-    async def work() -> None:
-        async with connected(attend, SECONDS) as connection:
-            with pytest.raises(ConnectionClosedError) as caught:
-                await connection.hand_over(lambda _: None)
-            over.set()
-            assert caught.value.sent is None  # a server that gets a word ends the session
-            assert "nothing came for 0.1 s" in str(caught.value.__cause__)
-
-    run(work)
+    async with connected(attend, SECONDS) as connection:
+        with pytest.raises(ConnectionClosedError) as caught:
+            await connection.hand_over(lambda _: None)
+        over.set()
+        assert caught.value.sent is None  # a server that gets a word ends the session
+        assert "nothing came for 0.1 s" in str(caught.value.__cause__)
 
 
-def test_what_comes_is_a_sign_of_life_though_no_ping_is_answered() -> None:
+async def test_what_comes_is_a_sign_of_life_though_no_ping_is_answered() -> None:
     ready = asyncio.Event()
 
     async def attend(connection: ServerConnection) -> None:
@@ -216,11 +188,8 @@ def test_what_comes_is_a_sign_of_life_though_no_ping_is_answered() -> None:
         connection.transport.resume_reading()
         await connection.wait_closed()
 
-    async def work() -> None:
-        async with connected(attend, patience()) as connection:
-            before = connection.silent_at
-            ready.set()
-            assert await connection.next_message() == "late"
-            assert connection.silent_at > before
-
-    run(work)
+    async with connected(attend, patience()) as connection:
+        before = connection.silent_at
+        ready.set()
+        assert await connection.next_message() == "late"
+        assert connection.silent_at > before

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from pathlib import Path
 
@@ -155,21 +154,18 @@ def test_what_is_wrong_or_in_the_way_is_reported_and_nothing_changes(guarded: Se
         assert (report["connection"], report["state"]) == (numbers, "failed")
 
 
-def test_the_python_client(guarded: Server) -> None:
-    async def work() -> None:
-        async with connect(url(guarded), token=TOKENS["keeper"]) as keeper:
-            assert (await keeper.configure(MORE))["is_applied"]
-            assert [revision["revision"] for revision in await keeper.revisions()] == [0, 1]
-            with pytest.raises(ConfigurationError, match="funktions"):
-                await keeper.configure("version: 1\nfunktions: {}\n")
-            assert (await keeper.rollback(0, dry_run=True))["revision"] == 2
-            with pytest.raises(UsageError, match="revision 7"):
-                await keeper.configure(MORE, revision=7)
-        async with connect(url(guarded), token=TOKENS["viewer"]) as viewer:
-            with pytest.raises(ServerError, match="may not configure"):
-                await viewer.configure(MORE)
-
-    asyncio.run(work())
+async def test_the_python_client(guarded: Server) -> None:
+    async with connect(url(guarded), token=TOKENS["keeper"]) as keeper:
+        assert (await keeper.configure(MORE))["is_applied"]
+        assert [revision["revision"] for revision in await keeper.revisions()] == [0, 1]
+        with pytest.raises(ConfigurationError, match="funktions"):
+            await keeper.configure("version: 1\nfunktions: {}\n")
+        assert (await keeper.rollback(0, dry_run=True))["revision"] == 2
+        with pytest.raises(UsageError, match="revision 7"):
+            await keeper.configure(MORE, revision=7)
+    async with connect(url(guarded), token=TOKENS["viewer"]) as viewer:
+        with pytest.raises(ServerError, match="may not configure"):
+            await viewer.configure(MORE)
 
 
 def apply(server: Server, path: Path, *arguments: str, who: str = "keeper") -> Result:

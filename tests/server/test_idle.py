@@ -74,16 +74,13 @@ def test_a_client_whose_link_is_dead_costs_hardly_anything(serve: Serve, between
         hold_idle("while a session is kept")
 
 
-def test_a_client_whose_server_is_gone_tries_again_with_pauses(
+async def test_a_client_whose_server_is_gone_tries_again_with_pauses(
     server: Server, between: Between
 ) -> None:
     proxy = between(server)
 
-    async def lose() -> None:
-        async with connect(f"ws://127.0.0.1:{proxy.port}/") as client:
-            await client.request("numbers")
-            proxy.cut(admit=False)
-            await asyncio.to_thread(eventually, lambda: proxy.refused > 1, "it tries again")
-            await asyncio.to_thread(hold_idle, "while the server is gone")
-
-    asyncio.run(lose())
+    async with connect(f"ws://127.0.0.1:{proxy.port}/") as client:
+        await client.request("numbers")
+        proxy.cut(admit=False)
+        await asyncio.to_thread(eventually, lambda: proxy.refused > 1, "it tries again")
+        await asyncio.to_thread(hold_idle, "while the server is gone")

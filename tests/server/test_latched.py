@@ -136,20 +136,19 @@ def test_nothing_comes_twice_to_who_joins_while_messages_come(
             assert came == list(zip(rest, rest, strict=True))
 
 
-def test_a_client_that_comes_later_counts_nothing_as_lost(serve: Serve, latched: Emitter) -> None:
+async def test_a_client_that_comes_later_counts_nothing_as_lost(
+    serve: Serve, latched: Emitter
+) -> None:
     port = serve().ports[0]
 
-    async def work() -> None:
-        address = f"ws://127.0.0.1:{port}/"
-        async with connect(address) as first, connect(address) as second:
-            before = await first.request("map")
-            for number, writer in enumerate("abccc"):
-                await asyncio.to_thread(latched.emit, number, writer)
-            assert [await before.get(patience()) for _ in range(5)] == [0, 1, 2, 3, 4]
-            stream = await second.request("map")
-            assert [await stream.get(patience()) for _ in range(3)] == [0, 1, 4]
-            await asyncio.to_thread(latched.emit, 5, "a")
-            assert await stream.get(patience()) == 5
-            assert stream.lost == 0
-
-    asyncio.run(work())
+    address = f"ws://127.0.0.1:{port}/"
+    async with connect(address) as first, connect(address) as second:
+        before = await first.request("map")
+        for number, writer in enumerate("abccc"):
+            await asyncio.to_thread(latched.emit, number, writer)
+        assert [await before.get(patience()) for _ in range(5)] == [0, 1, 2, 3, 4]
+        stream = await second.request("map")
+        assert [await stream.get(patience()) for _ in range(3)] == [0, 1, 4]
+        await asyncio.to_thread(latched.emit, 5, "a")
+        assert await stream.get(patience()) == 5
+        assert stream.lost == 0

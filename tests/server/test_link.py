@@ -69,23 +69,20 @@ def begin(*sockets: Socket, again: asyncio.Future[None], take: Take = _ignore) -
 
 
 @pytest.mark.parametrize("turns", range(8))
-def test_it_ends_when_it_is_cancelled_just_as_connecting_again_fails(turns: int) -> None:
-    async def work() -> None:
-        failing = asyncio.get_running_loop().create_future()
-        link = begin(Socket(KEPT), again=failing)
-        await link.start(resume=True)
-        reading = asyncio.ensure_future(link.run())
-        for _ in range(8):  # until it connects again
-            await asyncio.sleep(0)
-        failing.set_exception(OSError("refused"))
-        for _ in range(turns):
-            await asyncio.sleep(0)
-        reading.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await reading
-        assert link.closed == "the client was closed"
-
-    asyncio.run(asyncio.wait_for(work(), patience()))
+async def test_it_ends_when_it_is_cancelled_just_as_connecting_again_fails(turns: int) -> None:
+    failing = asyncio.get_running_loop().create_future()
+    link = begin(Socket(KEPT), again=failing)
+    await link.start(resume=True)
+    reading = asyncio.ensure_future(link.run())
+    for _ in range(8):  # until it connects again
+        await asyncio.sleep(0)
+    failing.set_exception(OSError("refused"))
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    reading.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await reading
+    assert link.closed == "the client was closed"
 
 
 @pytest.mark.parametrize(("status", "is_tried_again"), [(401, False), (503, True)])
@@ -109,42 +106,34 @@ def test_who_is_not_let_in_any_more_is_not_tried_again(status: int, is_tried_aga
     asyncio.run(work())
 
 
-def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:
-    async def work() -> None:
-        failing = asyncio.get_running_loop().create_future()
-        failing.set_exception(OSError("refused"))
-        after = Socket(HELLO, RESUMED)
-        link = begin(Socket(KEPT), after, again=failing)
-        await link.start(resume=True)
-        await link.send({"op": "List", "id": "1"})
-        with pytest.raises(MessageError):
-            await link.send({"op": "Call", "id": "2", "jsonMessage": object()})
-        await link.run()
-        assert after.sent[0]["jsonMessage"]["waiting"] == ["1"]
-
-    asyncio.run(asyncio.wait_for(work(), patience()))
+async def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:
+    failing = asyncio.get_running_loop().create_future()
+    failing.set_exception(OSError("refused"))
+    after = Socket(HELLO, RESUMED)
+    link = begin(Socket(KEPT), after, again=failing)
+    await link.start(resume=True)
+    await link.send({"op": "List", "id": "1"})
+    with pytest.raises(MessageError):
+        await link.send({"op": "Call", "id": "2", "jsonMessage": object()})
+    await link.run()
+    assert after.sent[0]["jsonMessage"]["waiting"] == ["1"]
 
 
-def test_of_more_than_can_be_asked_for_the_rest_fails() -> None:
-    async def work() -> None:
-        failing = asyncio.get_running_loop().create_future()
-        failing.set_exception(OSError("refused"))
-        after, messages = Socket(HELLO, RESUMED), list[Mapping[str, Any]]()
-        link = begin(Socket(KEPT), after, again=failing, take=messages.append)
-        await link.start(resume=True)
-        for number in range(5000):
-            await link.send({"op": "List", "id": str(number)})
-        await link.run()
-        waiting = after.sent[0]["jsonMessage"]["waiting"]
-        assert waiting == [str(number) for number in range(4096)]
-        assert [mapping["id"] for mapping in messages] == [
-            str(number) for number in range(4096, 5000)
-        ]
-        assert {(mapping["op"], mapping["jsonMessage"]["code"]) for mapping in messages} == {
-            ("Error", "closed")
-        }
-
-    asyncio.run(asyncio.wait_for(work(), patience()))
+async def test_of_more_than_can_be_asked_for_the_rest_fails() -> None:
+    failing = asyncio.get_running_loop().create_future()
+    failing.set_exception(OSError("refused"))
+    after, messages = Socket(HELLO, RESUMED), list[Mapping[str, Any]]()
+    link = begin(Socket(KEPT), after, again=failing, take=messages.append)
+    await link.start(resume=True)
+    for number in range(5000):
+        await link.send({"op": "List", "id": str(number)})
+    await link.run()
+    waiting = after.sent[0]["jsonMessage"]["waiting"]
+    assert waiting == [str(number) for number in range(4096)]
+    assert [mapping["id"] for mapping in messages] == [str(number) for number in range(4096, 5000)]
+    assert {(mapping["op"], mapping["jsonMessage"]["code"]) for mapping in messages} == {
+        ("Error", "closed")
+    }
 
 
 def test_changes_that_are_not_taken_are_the_newest() -> None:

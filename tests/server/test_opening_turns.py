@@ -58,19 +58,16 @@ def test_one_that_began_just_now_is_not_taken_for_waiting() -> None:
     assert begin_all(turns, LOOK, 1) == 1
 
 
-def test_what_hangs_keeps_nothing_behind_it_waiting() -> None:
+async def test_what_hangs_keeps_nothing_behind_it_waiting() -> None:
     gate = threading.Event()
 
-    async def work() -> None:
-        workers = Workers(1, LIMIT, LoopMailbox(asyncio.get_running_loop()))
-        hanging = [workers.open(lambda: gate.wait(patience())) for _ in range(LIMIT - 1)]
-        assert await asyncio.wait_for(workers.open(lambda: "opened"), patience()) == "opened"
-        assert workers.busy == LIMIT - 1
-        gate.set()
-        assert all(await asyncio.wait_for(asyncio.gather(*hanging), patience()))
-        workers.close()
-
-    asyncio.run(work())
+    workers = Workers(1, LIMIT, LoopMailbox(asyncio.get_running_loop()))
+    hanging = [workers.open(lambda: gate.wait(patience())) for _ in range(LIMIT - 1)]
+    assert await asyncio.wait_for(workers.open(lambda: "opened"), patience()) == "opened"
+    assert workers.busy == LIMIT - 1
+    gate.set()
+    assert all(await asyncio.wait_for(asyncio.gather(*hanging), patience()))
+    workers.close()
 
 
 def test_what_waited_for_its_turn_is_done_after_the_close() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -233,20 +232,17 @@ def test_a_recording_is_paused_stepped_and_sought_over_the_wire(serve: Serve) ->
         assert client.refused("Play", "", {"pause": True})["code"] == "usage"
 
 
-def test_the_client_of_python_records_and_plays(serve: Serve, tmp_path: Path) -> None:
+async def test_the_client_of_python_records_and_plays(serve: Serve, tmp_path: Path) -> None:
     server = serve(recordings=tmp_path / "kept")
 
-    async def go() -> None:
-        async with connect(f"ws://127.0.0.1:{server.ports[0]}/") as robot:
-            begun = await robot.record("counter", ring=5.0)
-            name = begun["recording"]
-            dumped = await robot.dump_recording(name)
-            assert dumped["files"] == [dumped["written"]]
-            assert (await robot.stop_recording(name))["state"] == "ended"
-            listed = await robot.recordings()
-            assert [item["recording"] for item in listed["recordings"]] == [name]
-            assert [player["bridge"] for player in await robot.players()] == ["tape"]
-            assert not (await robot.playback("tape", pause=False, rate=2.0))["is_paused"]
-            assert (await robot.playback("tape"))["rate"] == 2.0
-
-    asyncio.run(go())
+    async with connect(f"ws://127.0.0.1:{server.ports[0]}/") as robot:
+        begun = await robot.record("counter", ring=5.0)
+        name = begun["recording"]
+        dumped = await robot.dump_recording(name)
+        assert dumped["files"] == [dumped["written"]]
+        assert (await robot.stop_recording(name))["state"] == "ended"
+        listed = await robot.recordings()
+        assert [item["recording"] for item in listed["recordings"]] == [name]
+        assert [player["bridge"] for player in await robot.players()] == ["tape"]
+        assert not (await robot.playback("tape", pause=False, rate=2.0))["is_paused"]
+        assert (await robot.playback("tape"))["rate"] == 2.0

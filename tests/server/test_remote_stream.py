@@ -24,18 +24,15 @@ def _stream() -> RemoteStream:
     return RemoteStream(opened, {}, _never, _diagnose, 8)
 
 
-def test_nothing_in_time_is_a_timeout() -> None:
-    async def play() -> None:
-        stream = _stream()
-        text = r"^no message within 0\.01 s; nothing feeds c1; it waits$"
-        with pytest.raises(TimeoutError, match=text):
-            await stream.get(0.01)
-        assert stream.trouble == ("nothing feeds c1", "it waits")
-        stream.take(1, 5)
-        assert await stream.get(0.01) == 5
-        assert not stream.trouble
-
-    asyncio.run(play())
+async def test_nothing_in_time_is_a_timeout() -> None:
+    stream = _stream()
+    text = r"^no message within 0\.01 s; nothing feeds c1; it waits$"
+    with pytest.raises(TimeoutError, match=text):
+        await stream.get(0.01)
+    assert stream.trouble == ("nothing feeds c1", "it waits")
+    stream.take(1, 5)
+    assert await stream.get(0.01) == 5
+    assert not stream.trouble
 
 
 def test_what_comes_while_it_is_asked_why_nothing_came_is_given() -> None:
@@ -62,17 +59,14 @@ def test_what_is_there_needs_no_time() -> None:
 
 
 @pytest.mark.parametrize("turns", range(6))
-def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(turns: int) -> None:
-    async def play() -> None:
-        stream = _stream()
-        reading = asyncio.ensure_future(stream.get(patience()))
+async def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(turns: int) -> None:
+    stream = _stream()
+    reading = asyncio.ensure_future(stream.get(patience()))
+    await asyncio.sleep(0)
+    stream.take(1, 5)
+    for _ in range(turns):
         await asyncio.sleep(0)
-        stream.take(1, 5)
-        for _ in range(turns):
-            await asyncio.sleep(0)
-        asked = reading.cancel()
-        await asyncio.wait({reading})
-        assert reading.cancelled() is asked
-        assert (await stream.get(patience()) if asked else reading.result()) == 5
-
-    asyncio.run(play())
+    asked = reading.cancel()
+    await asyncio.wait({reading})
+    assert reading.cancelled() is asked
+    assert (await stream.get(patience()) if asked else reading.result()) == 5

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import subprocess
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractAsyncContextManager, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.server.conftest import Between, Serve
@@ -52,15 +53,8 @@ def restarting(robot: RobotManager) -> Iterator[Restarting]:
     made.stop()
 
 
-def run(
-    restarting: Restarting, work: Callable[[RemoteRobot], Awaitable[None]], **options: object
-) -> None:
-    async def within() -> None:
-        url = f"ws://127.0.0.1:{restarting.port}/"
-        async with connect(url, **options) as client:  # type: ignore[arg-type] # as in `connect`
-            await asyncio.wait_for(work(client), SECONDS)
-
-    asyncio.run(within())
+def joined(restarting: Restarting, **options: Any) -> AbstractAsyncContextManager[RemoteRobot]:
+    return connect(f"ws://127.0.0.1:{restarting.port}/", **options)
 
 
 async def restart(restarting: Restarting) -> None:
@@ -74,10 +68,10 @@ async def until(condition: Callable[[], bool]) -> None:
 
 @FORMS
 @pytest.mark.parametrize("resume", [False, True])
-def test_a_stream_goes_on_after_a_restart_with_a_gap_that_is_marked(
+async def test_a_stream_goes_on_after_a_restart_with_a_gap_that_is_marked(
     restarting: Restarting, binary: bool, resume: bool
 ) -> None:
-    async def work(client: RemoteRobot) -> None:
+    async with joined(restarting, binary=binary, resume=resume) as client:
         stream = await client.request("numbers")
         script.put({"value": 1})
         assert await stream.get() == {"value": 1}
@@ -89,19 +83,17 @@ def test_a_stream_goes_on_after_a_restart_with_a_gap_that_is_marked(
         assert await client.call("add", {"a": 1, "b": 2})
         await stream.kill()
 
-    run(restarting, work, binary=binary, resume=resume)
 
-
-def test_what_waits_for_an_answer_fails_and_nothing_is_done_twice(restarting: Restarting) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_what_waits_for_an_answer_fails_and_nothing_is_done_twice(
+    restarting: Restarting,
+) -> None:
+    async with joined(restarting) as client:
         slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
         await client.status()
         await restart(restarting)
         with pytest.raises(ConnectionClosedError):
             await slow
         script.release()
-
-    run(restarting, work)
 
 
 def test_what_was_asked_during_a_drop_is_not_done_by_the_session_after(
@@ -128,10 +120,10 @@ def test_what_was_asked_during_a_drop_is_not_done_by_the_session_after(
     asyncio.run(asyncio.wait_for(work(), SECONDS))
 
 
-def test_a_command_of_before_reaches_nothing_of_after(restarting: Restarting) -> None:
+async def test_a_command_of_before_reaches_nothing_of_after(restarting: Restarting) -> None:
     """Names of connections are the server's: one of before may be another's after."""
 
-    async def work(client: RemoteRobot) -> None:
+    async with joined(restarting) as client:
         stream = await client.request("echo")
         await asyncio.to_thread(restarting.stop)
         await until(lambda: client.restarts == 1)
@@ -144,11 +136,13 @@ def test_a_command_of_before_reaches_nothing_of_after(restarting: Restarting) ->
         await stream.send({"value": 7})
         assert await stream.get() == {"value": 7}
 
-    run(restarting, work)
 
+async def test_changes_go_on(restarting: Restarting) -> None:
+    async def until_running(changes: AsyncIterator[StatusEvent]) -> None:
+        while (await anext(changes)).change != "running":
+            pass
 
-def test_changes_go_on(restarting: Restarting) -> None:
-    async def work(client: RemoteRobot) -> None:
+    async with joined(restarting) as client:
         changes = client.watch()
         first = asyncio.ensure_future(anext(changes))
         await client.status()
@@ -162,15 +156,9 @@ def test_changes_go_on(restarting: Restarting) -> None:
             await (await client.request("echo")).kill()
         await running
 
-    async def until_running(changes: AsyncIterator[StatusEvent]) -> None:
-        while (await anext(changes)).change != "running":
-            pass
 
-    run(restarting, work)
-
-
-def test_it_fails_where_reconnecting_is_off(restarting: Restarting) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_it_fails_where_reconnecting_is_off(restarting: Restarting) -> None:
+    async with joined(restarting, reconnect=0) as client:
         stream = await client.request("numbers")
         await asyncio.to_thread(restarting.stop)
         with pytest.raises(ConnectionClosedError):
@@ -179,22 +167,18 @@ def test_it_fails_where_reconnecting_is_off(restarting: Restarting) -> None:
         assert stream.cause
         restarting.start()
 
-    run(restarting, work, reconnect=0)
 
-
-def test_it_fails_with_the_cause_when_no_server_comes_back(restarting: Restarting) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_it_fails_with_the_cause_when_no_server_comes_back(restarting: Restarting) -> None:
+    async with joined(restarting, reconnect=0.3) as client:
         stream = await client.request("numbers")
         await asyncio.to_thread(restarting.stop)
         with pytest.raises(ConnectionClosedError, match="connecting again failed"):
             await stream.get()
         restarting.start()
 
-    run(restarting, work, reconnect=0.3)
 
-
-def test_a_loop_that_ends_because_of_a_kill_has_its_cause(restarting: Restarting) -> None:
-    async def work(client: RemoteRobot) -> None:
+async def test_a_loop_that_ends_because_of_a_kill_has_its_cause(restarting: Restarting) -> None:
+    async with joined(restarting) as client:
         stream = await client.request("numbers")
         connection = restarting.server._robot.connections()[0]
         killing = asyncio.to_thread(connection.kill)
@@ -203,8 +187,6 @@ def test_a_loop_that_ends_because_of_a_kill_has_its_cause(restarting: Restarting
         assert await taking == []
         assert stream.state == "closed"
         assert "killed" in stream.cause
-
-    run(restarting, work)
 
 
 async def _all(stream: object) -> list[object]:

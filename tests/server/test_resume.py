@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import subprocess
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +28,8 @@ CLIENTS = Path(__file__).parent / "clients"
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
 
 
-def run(proxy: Proxy, work: Callable[[RemoteRobot], Awaitable[None]], **options: Any) -> None:
-    async def within() -> None:
-        async with connect(f"ws://127.0.0.1:{proxy.port}/", **options) as client:
-            await asyncio.wait_for(work(client), SECONDS)
-
-    asyncio.run(within())
+def joined(proxy: Proxy, **options: Any) -> AbstractAsyncContextManager[RemoteRobot]:
+    return connect(f"ws://127.0.0.1:{proxy.port}/", **options)
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -49,10 +45,11 @@ async def resumed(client: RemoteRobot) -> AsyncIterator[None]:
 
 
 @FORMS
-def test_a_stream_goes_on_where_it_was(server: Server, between: Between, binary: bool) -> None:
+async def test_a_stream_goes_on_where_it_was(
+    server: Server, between: Between, binary: bool
+) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy, binary=binary) as client:
         stream = await client.request("numbers")
         for start in (0, 3, 6):
             script.put({"value": start})
@@ -69,15 +66,12 @@ def test_a_stream_goes_on_where_it_was(server: Server, between: Between, binary:
         assert stream.lost == 0
         assert script.numbers.started == 1
 
-    run(proxy, work, binary=binary)
 
-
-def test_what_a_full_queue_lost_meanwhile_is_a_gap_and_counted(
+async def test_what_a_full_queue_lost_meanwhile_is_a_gap_and_counted(
     server: Server, between: Between, robot: RobotManager
 ) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         stream = await client.request("numbers", queue=QueuePolicy(length=2))
         script.put({"value": 0})
         assert await stream.get() == {"value": 0}
@@ -91,8 +85,6 @@ def test_what_a_full_queue_lost_meanwhile_is_a_gap_and_counted(
         assert stream.lost == 8
         [own] = (await client.status())["own"]
         assert (own["received"], own["dropped"]) == (11, 8)
-
-    run(proxy, work)
 
 
 async def lose(
@@ -108,12 +100,11 @@ async def lose(
 
 
 @FORMS
-def test_what_a_dead_connection_took_is_counted_before_anything_else_comes(
+async def test_what_a_dead_connection_took_is_counted_before_anything_else_comes(
     server: Server, between: Between, binary: bool
 ) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy, binary=binary) as client:
         stream = await client.request("numbers")  # nothing has come, and from where it counts
         await lose(client, server, proxy, {"value": 1}, {"value": 2}, written=2)
         assert stream.lost == 2
@@ -121,16 +112,13 @@ def test_what_a_dead_connection_took_is_counted_before_anything_else_comes(
         assert await stream.get() == {"value": 3}
         assert stream.lost == 2
 
-    run(proxy, work, binary=binary)
-
 
 @FORMS
-def test_what_was_lost_before_the_end_is_counted(
+async def test_what_was_lost_before_the_end_is_counted(
     server: Server, between: Between, binary: bool
 ) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy, binary=binary) as client:
         stream = await client.request("numbers")
         script.put({"value": 1})
         assert await stream.get() == {"value": 1}
@@ -139,24 +127,19 @@ def test_what_was_lost_before_the_end_is_counted(
             await stream.get()
         assert stream.lost == 2
 
-    run(proxy, work, binary=binary)
-
 
 @FORMS
-def test_what_a_client_left_out_itself_is_not_lost(
+async def test_what_a_client_left_out_itself_is_not_lost(
     server: Server, between: Between, binary: bool
 ) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy, binary=binary) as client:
         stream = await client.request("numbers", every=3600)
         await lose(client, server, proxy, *({"value": value} for value in range(50)), written=1)
         script.put(END)
         with pytest.raises(ConnectionClosedError, match="finished"):
             await stream.get()
         assert stream.lost == 1  # which was on its way
-
-    run(proxy, work, binary=binary)
 
 
 def clients(server: Server) -> int:
@@ -165,10 +148,9 @@ def clients(server: Server) -> int:
     return count
 
 
-def test_an_answer_that_came_meanwhile_is_received(server: Server, between: Between) -> None:
+async def test_an_answer_that_came_meanwhile_is_received(server: Server, between: Between) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         calling = asyncio.ensure_future(client.call("slow", {"value": 7}))
         await client.status()
         async with resumed(client):
@@ -177,13 +159,12 @@ def test_an_answer_that_came_meanwhile_is_received(server: Server, between: Betw
             proxy.admit()
         assert await calling == {"value": 7}
 
-    run(proxy, work)
 
-
-def test_an_answer_that_was_lost_on_the_way_is_sent_again(server: Server, between: Between) -> None:
+async def test_an_answer_that_was_lost_on_the_way_is_sent_again(
+    server: Server, between: Between
+) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         await client.status()
         proxy.hold(to_client=True)
         before = answered(server)
@@ -193,8 +174,6 @@ def test_an_answer_that_was_lost_on_the_way_is_sent_again(server: Server, betwee
             proxy.cut()
         assert await calling == {"value": 3}
 
-    run(proxy, work)
-
 
 def answered(server: Server) -> int:
     """Return how many messages the server has sent."""
@@ -203,12 +182,11 @@ def answered(server: Server) -> int:
 
 
 @FORMS
-def test_an_end_that_was_lost_on_the_way_is_sent_again(
+async def test_an_end_that_was_lost_on_the_way_is_sent_again(
     server: Server, between: Between, binary: bool
 ) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy, binary=binary) as client:
         stream = await client.request("numbers")
         script.put({"value": 1})
         assert await stream.get() == {"value": 1}
@@ -216,35 +194,28 @@ def test_an_end_that_was_lost_on_the_way_is_sent_again(
         with pytest.raises(ConnectionClosedError, match="finished"):
             await stream.get()
 
-    run(proxy, work, binary=binary)
 
-
-def test_what_never_arrived_is_reported_and_not_done_twice(
+async def test_what_never_arrived_is_reported_and_not_done_twice(
     server: Server, between: Between
 ) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
-        async with await client.request("echo") as echo:
-            proxy.hold(to_server=True)
-            sending = asyncio.ensure_future(echo.send({"value": 1}))
-            await asyncio.sleep(0)
-            async with resumed(client):
-                proxy.cut()
-            with pytest.raises(ConnectionClosedError, match="did not arrive"):
-                await sending
-            await echo.send({"value": 2})
-            assert await echo.get() == {"value": 2}
-
-    run(proxy, work)
+    async with joined(proxy) as client, await client.request("echo") as echo:
+        proxy.hold(to_server=True)
+        sending = asyncio.ensure_future(echo.send({"value": 1}))
+        await asyncio.sleep(0)
+        async with resumed(client):
+            proxy.cut()
+        with pytest.raises(ConnectionClosedError, match="did not arrive"):
+            await sending
+        await echo.send({"value": 2})
+        assert await echo.get() == {"value": 2}
 
 
-def test_a_kill_that_a_drop_took_is_asked_again(
+async def test_a_kill_that_a_drop_took_is_asked_again(
     server: Server, between: Between, robot: RobotManager
 ) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         stream = await client.request("numbers")
         proxy.hold(to_server=True)
         killing = asyncio.ensure_future(stream.kill())
@@ -254,13 +225,10 @@ def test_a_kill_that_a_drop_took_is_asked_again(
         await killing
         await until(lambda: not robot.status().connections)
 
-    run(proxy, work)
 
-
-def test_what_is_asked_while_it_is_down_waits(server: Server, between: Between) -> None:
+async def test_what_is_asked_while_it_is_down_waits(server: Server, between: Between) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         await client.status()
         async with resumed(client):
             proxy.cut(admit=False)
@@ -270,13 +238,12 @@ def test_what_is_asked_while_it_is_down_waits(server: Server, between: Between) 
             proxy.admit()
         assert [(await task)["value"] for task in asking] == list(range(1, 10))
 
-    run(proxy, work)
 
-
-def test_a_server_that_has_not_noticed_the_drop_lets_go(server: Server, between: Between) -> None:
+async def test_a_server_that_has_not_noticed_the_drop_lets_go(
+    server: Server, between: Between
+) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         stream = await client.request("numbers")
         async with resumed(client):
             proxy.cut(server=False)
@@ -284,13 +251,10 @@ def test_a_server_that_has_not_noticed_the_drop_lets_go(server: Server, between:
         assert await stream.get() == {"value": 1}
         await until(lambda: clients(server) == 1)
 
-    run(proxy, work)
 
-
-def test_changes_are_watched_over_a_drop(server: Server, between: Between) -> None:
+async def test_changes_are_watched_over_a_drop(server: Server, between: Between) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         changes = client.watch()
         first = asyncio.ensure_future(anext(changes))
         while not first.done():  # what came before the watch was answered is no change
@@ -302,16 +266,13 @@ def test_changes_are_watched_over_a_drop(server: Server, between: Between) -> No
             if change.subject == f"connection {echo.connection}":
                 return
 
-    run(proxy, work)
 
-
-def test_a_session_ends_when_its_time_is_over(
+async def test_a_session_ends_when_its_time_is_over(
     serve: Serve, between: Between, robot: RobotManager
 ) -> None:
     server = serve(Limits(resume_seconds=0.2))
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy, reconnect=0) as client:
         stream = await client.request("numbers")
         proxy.cut(admit=False)
         await until(lambda: not robot.status().connections)
@@ -320,83 +281,69 @@ def test_a_session_ends_when_its_time_is_over(
         with pytest.raises(ConnectionClosedError, match="dropped"):
             await client.status()
 
-    run(proxy, work, reconnect=0)
 
-
-def test_sessions_without_a_connection_are_limited(
+async def test_sessions_without_a_connection_are_limited(
     serve: Serve, between: Between, robot: RobotManager
 ) -> None:
     server = serve(Limits(kept_sessions=1))
     first, second = between(server), between(server)
 
-    async def work(one: RemoteRobot) -> None:
-        async with connect(f"ws://127.0.0.1:{second.port}/", reconnect=0) as other:
-            streams = await one.request("numbers"), await other.request("echo")
-            first.cut(admit=False)
-            await until(lambda: clients(server) == 1)
-            assert "uoarm_serve_kept_sessions 1.0" in figures(server)
-            second.cut()
-            with pytest.raises(ConnectionClosedError, match="begin anew"):
-                await streams[1].get()
-            async with resumed(one):
-                first.admit()
-            await until(
-                lambda: (
-                    [connection.function for connection in robot.status().connections]
-                    == ["numbers"]
-                )
+    async with joined(first) as one, joined(second, reconnect=0) as other:
+        streams = await one.request("numbers"), await other.request("echo")
+        first.cut(admit=False)
+        await until(lambda: clients(server) == 1)
+        assert "uoarm_serve_kept_sessions 1.0" in figures(server)
+        second.cut()
+        with pytest.raises(ConnectionClosedError, match="begin anew"):
+            await streams[1].get()
+        async with resumed(one):
+            first.admit()
+        await until(
+            lambda: (
+                [connection.function for connection in robot.status().connections] == ["numbers"]
             )
-
-    run(first, work)
+        )
 
 
 @pytest.mark.parametrize("keeping", ["neither", "client", "server"])
-def test_where_one_side_does_not_want_it_a_drop_is_the_end(
+async def test_where_one_side_does_not_want_it_a_drop_is_the_end(
     serve: Serve, between: Between, robot: RobotManager, keeping: str
 ) -> None:
     limits = Limits() if keeping == "server" else Limits(resume_seconds=0)
     proxy = between(serve(limits))
 
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy, resume=keeping == "client", reconnect=0) as client:
         stream = await client.request("numbers")
         proxy.cut()
         with pytest.raises(ConnectionClosedError):
             await stream.get()
         await until(lambda: not robot.status().connections)
 
-    run(proxy, work, resume=keeping == "client", reconnect=0)
 
-
-def test_a_client_that_says_goodbye_leaves_nothing(
+async def test_a_client_that_says_goodbye_leaves_nothing(
     server: Server, between: Between, robot: RobotManager
 ) -> None:
-    async def work(client: RemoteRobot) -> None:
+    async with joined(between(server)) as client:
         await client.request("numbers")
-
-    run(between(server), work)
     eventually(lambda: not robot.status().connections, "what it held is closed")
 
 
-def test_a_drop_takes_nothing_from_what_was_counted(server: Server, between: Between) -> None:
+async def test_a_drop_takes_nothing_from_what_was_counted(server: Server, between: Between) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         await client.status()
         proxy.cut(admit=False)
         await until(lambda: "uoarm_serve_kept_sessions 1.0" in figures(server))
         assert "uoarm_serve_received_messages_total 2.0" in figures(server)
         proxy.admit()
 
-    run(proxy, work)
 
-
-def test_a_link_that_jams_is_a_drop_for_a_session_that_is_kept(
+async def test_a_link_that_jams_is_a_drop_for_a_session_that_is_kept(
     serve: Serve, between: Between
 ) -> None:
     server = serve(Limits(stall_seconds=slowness()))
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         stream = await client.request("picture", queue=QueuePolicy(length=2))
         script.put({"width": 0, "data": b""})
         assert (await stream.get())["width"] == 0
@@ -410,13 +357,10 @@ def test_a_link_that_jams_is_a_drop_for_a_session_that_is_kept(
             pass
         assert stream.lost > 0
 
-    run(proxy, work)
 
-
-def test_what_was_answered_is_not_sent_again(server: Server, between: Between) -> None:
+async def test_what_was_answered_is_not_sent_again(server: Server, between: Between) -> None:
     proxy = between(server)
-
-    async def work(client: RemoteRobot) -> None:
+    async with joined(proxy) as client:
         for number in range(100):
             await client.call("add", {"a": number, "b": 0})
         before = answered(server)
@@ -424,8 +368,6 @@ def test_what_was_answered_is_not_sent_again(server: Server, between: Between) -
             proxy.cut()
         await client.status()
         assert answered(server) - before < 20
-
-    run(proxy, work)
 
 
 @BESIDE
@@ -468,8 +410,12 @@ def test_whatever_is_cut_nothing_comes_twice_or_without_being_counted(
         assert values == sorted(set(values))
         assert stream.lost == values[-1] - len(values)
 
+    async def within() -> None:
+        async with joined(proxy) as client:
+            await work(client)
+
     with Proxy(server.ports[0]) as proxy:
-        run(proxy, work)
+        asyncio.run(within())
 
 
 async def answer_of(client: RemoteRobot) -> object:

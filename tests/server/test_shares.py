@@ -64,38 +64,32 @@ def in_name_of(owner: str, workers: Workers, gate: threading.Event) -> asyncio.F
     return context.run(workers.open, lambda: gate.wait(patience()))
 
 
-def test_openings_that_hang_leave_some_to_who_comes_later() -> None:
+async def test_openings_that_hang_leave_some_to_who_comes_later() -> None:
     gate, opened = threading.Event(), threading.Event()
     opened.set()
 
-    async def work() -> None:
-        workers = Workers(1, 4, LoopMailbox(asyncio.get_running_loop()))
-        hanging = [in_name_of("greedy", workers, gate) for _ in range(10)]
-        late = in_name_of("late", workers, opened)
-        assert await asyncio.wait_for(late, patience())
-        gate.set()
-        assert all(await asyncio.wait_for(asyncio.gather(*hanging), patience()))
-        workers.close()
-
-    asyncio.run(work())
+    workers = Workers(1, 4, LoopMailbox(asyncio.get_running_loop()))
+    hanging = [in_name_of("greedy", workers, gate) for _ in range(10)]
+    late = in_name_of("late", workers, opened)
+    assert await asyncio.wait_for(late, patience())
+    gate.set()
+    assert all(await asyncio.wait_for(asyncio.gather(*hanging), patience()))
+    workers.close()
 
 
-def test_a_worker_is_given_back_whatever_becomes_of_who_waited() -> None:
-    async def work() -> None:
-        workers = Workers(1, 1, LoopMailbox(asyncio.get_running_loop()))
-        for _ in range(5):
-            with pytest.raises(ZeroDivisionError):
-                await workers.start(lambda: 1 // 0)
-        gate = threading.Event()
-        given_up = workers.start(lambda: gate.wait(patience()))
-        given_up.cancel()
-        with pytest.raises(BusyError, match="all 1 workers"):
-            workers.start(lambda: None)
-        gate.set()
-        await asyncio.to_thread(eventually, lambda: not workers.busy, "it is given back")
-        workers.close()
-
-    asyncio.run(work())
+async def test_a_worker_is_given_back_whatever_becomes_of_who_waited() -> None:
+    workers = Workers(1, 1, LoopMailbox(asyncio.get_running_loop()))
+    for _ in range(5):
+        with pytest.raises(ZeroDivisionError):
+            await workers.start(lambda: 1 // 0)
+    gate = threading.Event()
+    given_up = workers.start(lambda: gate.wait(patience()))
+    given_up.cancel()
+    with pytest.raises(BusyError, match="all 1 workers"):
+        workers.start(lambda: None)
+    gate.set()
+    await asyncio.to_thread(eventually, lambda: not workers.busy, "it is given back")
+    workers.close()
 
 
 def test_addresses_share_the_connections(serve: Serve) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import logging
 import threading
@@ -182,16 +181,13 @@ def test_a_stop_after_a_release_stops_again_though_the_one_before_it_lasts(
         assert stopped == {"base": False, "arm": True}
 
 
-def test_the_python_client(guarded: Server) -> None:
-    async def work() -> None:
-        async with connect(url(guarded), token=TOKENS["driver"]) as driver:
-            assert (await driver.stop_all())["inputs"] == []
-            with pytest.raises(ServerError, match="may not release"):
-                await driver.release()
-        async with connect(url(guarded), token=TOKENS["keeper"]) as keeper:
-            await keeper.release()
-
-    asyncio.run(work())
+async def test_the_python_client(guarded: Server) -> None:
+    async with connect(url(guarded), token=TOKENS["driver"]) as driver:
+        assert (await driver.stop_all())["inputs"] == []
+        with pytest.raises(ServerError, match="may not release"):
+            await driver.release()
+    async with connect(url(guarded), token=TOKENS["keeper"]) as keeper:
+        await keeper.release()
 
 
 def test_the_command_line_says_who_has_not_stopped(
