@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -30,6 +32,52 @@ bridges: {far: {plugin: python, host: {silence: 600, start: 600}}}
 functions:
   half: {components: [{name: halver, bridge: far, service: {endpoint: ["disk_parts:half"]}}]}
 """
+
+
+def test_what_is_no_regular_file_is_not_replaced(tmp_path: Path) -> None:
+    """As root even a device would be."""
+    pipe, folder = tmp_path / "pipe", tmp_path / "folder"
+    os.mkfifo(pipe)
+    folder.mkdir()
+    (tmp_path / "link").symlink_to(pipe)
+    for name, why in (("pipe", "not a regular file"), ("link", "not a regular file")):
+        for private in (False, True):
+            with pytest.raises(OSError, match=rf"{why}: '\S+/{name}'$"):
+                write_whole(tmp_path / name, b"new", private=private)
+    with pytest.raises(IsADirectoryError, match=r"Is a directory: '\S+/folder'$"):
+        write_whole(folder, b"new")
+    with pytest.raises(FileNotFoundError, match=r"No such file or directory: '\S+/none/new'$"):
+        write_whole(tmp_path / "none" / "new", b"new")
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "link", "pipe"]
+    robot = tmp_path / "robot.yaml"
+    robot.write_text("version: 1\nbridges: {}\nfunctions: {}\n")
+    for command in (
+        ["lock", str(robot), "--lock", str(pipe)],
+        ["types", "--python", str(robot), "-o", str(pipe)],
+    ):
+        done = CliRunner().invoke(main, command)
+        assert done.exit_code == 3
+        assert f"{pipe}: cannot be written: [Errno 22] It is not a regular file" in done.stderr
+
+
+def test_a_link_stays_and_a_file_keeps_its_mode(tmp_path: Path) -> None:
+    file, link, new = tmp_path / "file", tmp_path / "link", tmp_path / "new"
+    file.write_bytes(b"old")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    write_whole(link, b"new")
+    assert link.is_symlink()
+    assert file.read_bytes() == b"new"
+    assert stat.S_IMODE(file.stat().st_mode) == 0o640
+    link.unlink()
+    link.symlink_to(new)
+    write_whole(link, b"first")
+    assert new.read_bytes() == b"first"
+    write_whole(link, b"secret", private=True)
+    assert not link.is_symlink()
+    assert stat.S_IMODE(link.stat().st_mode) == 0o600
+    assert new.read_bytes() == b"first"
 
 
 @pytest.mark.parametrize("octets", [0, 100, 300])

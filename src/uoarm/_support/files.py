@@ -5,10 +5,11 @@ Text is read in one way: of a regular file, in UTF-8, up to a limit; what is wro
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -84,24 +85,44 @@ def written_beside(
 ) -> Iterator[Callable[[], object]]:
     """Write a file beside its place; give what moves it there. It is gone where that is not called.
 
+    A link stays, and what it leads to is replaced, with the mode that it had; of a private file
+    the link is: it may be another user's.
+
     Raises:
-        OSError: as `write_whole`.
+        OSError: as `write_whole`; or what is there is no regular file, such as a device.
     """
+    named, path = path, path if private else Path(os.path.realpath(path))
+    mode = 0o600 if private else 0o666
+    before = None
+    with suppress(FileNotFoundError):
+        before = _mode_of_regular(named)
     part = path.with_name(f".{path.name}.{os.getpid()}")
     part.unlink(missing_ok=True)  # of a process that was killed, and had this number
     try:
-        place = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600 if private else 0o666)
+        place = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode if before is None else 0)
         with os.fdopen(place, "wb") as file:
             file.write(data)
             file.flush()
+            if before is not None:
+                os.fchmod(file.fileno(), mode if private else before)
             os.fsync(file.fileno())
         yield lambda: part.replace(path)
     except OSError as error:
         if error.filename == str(part):  # who reads the error knows only the file that was meant
-            error.filename, error.filename2 = str(path), None
+            raise OSError(error.errno, error.strerror, str(named)) from error
         raise
     finally:
         part.unlink(missing_ok=True)
+
+
+def _mode_of_regular(path: Path) -> int:
+    """Return the mode of a file, and refuse what none may replace: as root a device would be."""
+    mode = path.stat().st_mode
+    if stat.S_ISDIR(mode):
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "It is not a regular file", str(path))
+    return stat.S_IMODE(mode)
 
 
 def stamp_of(path: Path) -> tuple[int, ...]:
