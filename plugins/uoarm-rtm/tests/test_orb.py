@@ -143,6 +143,14 @@ def test_the_last_close_does_not_wait_for_a_delivery_and_the_next_orb_does(
         pusher.end()
 
 
+def test_a_call_that_did_not_come_back_in_time_is_not_waited_for_again() -> None:
+    guard = _orb.CallGuard()
+    with guard:
+        assert not guard.end(0.0)
+        assert not Background(lambda: guard.end(2 * patience())).result(patience())
+    assert guard.end(0.0)
+
+
 def _count_sockets() -> int:
     count = 0
     for descriptor in Path("/proc/self/fd").iterdir():

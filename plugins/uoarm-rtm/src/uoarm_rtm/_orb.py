@@ -37,6 +37,7 @@ class CallGuard:
         self._changed = threading.Condition(self._lock)
         self._count = 0
         self._ended = False
+        self._until = 0.0
 
     def __enter__(self) -> None:
         """Begin a call; raises CORBA.BAD_INV_ORDER when no call may begin any more."""
@@ -60,12 +61,18 @@ class CallGuard:
     def end(self, seconds: float) -> bool:
         """Let no call begin any more, and wait for those under way.
 
+        The time counts from the first time on: a port quiesces on its own when it is asked to
+        disconnect, and again when the walk over all ports comes to it.
+
         Returns:
             whether all have come back in time.
         """
         with self._changed:
+            now = time.monotonic()
+            if not self._ended:
+                self._until = now + seconds
             self._ended = True
-            return self._changed.wait_for(lambda: not self._count, seconds)
+            return self._changed.wait_for(lambda: not self._count, max(0.0, self._until - now))
 
     @property
     def is_busy(self) -> bool:
