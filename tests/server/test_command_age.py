@@ -102,22 +102,19 @@ def test_a_command_older_than_its_lifetime_is_refused(
     wait(lambda: base.taken.messages == [1, 3], "a new one was refused")
 
 
-def test_the_python_client_says_when_it_sent(
+async def test_the_python_client_says_when_it_sent(
     serve: Serve, base: Taker, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server: Server = serve()
 
-    async def run() -> None:
-        async with connect(f"ws://127.0.0.1:{server.ports[0]}/") as client:
-            drive = await client.request("drive")
-            await drive.send(1)
-            await asyncio.to_thread(wait, lambda: base.taken.messages == [1])
-            with monkeypatch.context() as patched:
-                # The clock goes on while this one is held up.
-                patched.setattr("uoarm.client._stream.boot_seconds", lambda: -2 * LIFETIME)
-                await drive.send(2)
-                await asyncio.to_thread(wait, lambda: dropped(robot) == {"late": 1})
-            await drive.send(3)
-            await asyncio.to_thread(wait, lambda: base.taken.messages == [1, 3])
-
-    asyncio.run(run())
+    async with connect(f"ws://127.0.0.1:{server.ports[0]}/") as client:
+        drive = await client.request("drive")
+        await drive.send(1)
+        await asyncio.to_thread(wait, lambda: base.taken.messages == [1])
+        with monkeypatch.context() as patched:
+            # The clock goes on while this one is held up.
+            patched.setattr("uoarm.client._stream.boot_seconds", lambda: -2 * LIFETIME)
+            await drive.send(2)
+            await asyncio.to_thread(wait, lambda: dropped(robot) == {"late": 1})
+        await drive.send(3)
+        await asyncio.to_thread(wait, lambda: base.taken.messages == [1, 3])

@@ -128,26 +128,23 @@ def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list
     asyncio.run(run())
 
 
-def test_a_long_message_is_written_once_for_each_form_and_beside_the_loop() -> None:
-    async def run() -> None:
-        encoder, loop = Encoder(), asyncio.get_running_loop()
-        feed = Feed(LoopMailbox(loop), Limits(), encoder)
-        readers = [Reader() for _ in range(3)]
-        for reader in readers:
-            reader.begin(feed)
-        feed.take(LONG)
-        end = loop.time() + patience()
-        while not all(reader.took for reader in readers):
-            await asyncio.sleep(0)
-            assert loop.time() < end
-        [thread] = [thread for reader in readers for thread in reader.threads]
-        assert thread is not threading.current_thread()
-        encoder.close()
-        feed.take(LONG)  # what comes while the server stops is written in the loop
-        feed.finish("closed", "kill")
-        assert all(reader.took == [1, 2, "closed kill"] for reader in readers)
-
-    asyncio.run(run())
+async def test_a_long_message_is_written_once_for_each_form_and_beside_the_loop() -> None:
+    encoder, loop = Encoder(), asyncio.get_running_loop()
+    feed = Feed(LoopMailbox(loop), Limits(), encoder)
+    readers = [Reader() for _ in range(3)]
+    for reader in readers:
+        reader.begin(feed)
+    feed.take(LONG)
+    end = loop.time() + patience()
+    while not all(reader.took for reader in readers):
+        await asyncio.sleep(0)
+        assert loop.time() < end
+    [thread] = [thread for reader in readers for thread in reader.threads]
+    assert thread is not threading.current_thread()
+    encoder.close()
+    feed.take(LONG)  # what comes while the server stops is written in the loop
+    feed.finish("closed", "kill")
+    assert all(reader.took == [1, 2, "closed kill"] for reader in readers)
 
 
 def _plain(value: Any) -> Any:

@@ -21,7 +21,6 @@ from uoarm.client._link import Link, Take
 from uoarm.client._socket import ClientSocket, Received
 from uoarm.errors import MessageError
 from uoarm.model import StatusEvent, to_json
-from uoarm.testing import patience
 
 HELLO = {"op": "Status", "type": "hello"}
 KEPT = {"op": "Reply", "id": "keep", "jsonMessage": {"key": "key", "seconds": 0.3}}
@@ -86,24 +85,23 @@ async def test_it_ends_when_it_is_cancelled_just_as_connecting_again_fails(turns
 
 
 @pytest.mark.parametrize(("status", "is_tried_again"), [(401, False), (503, True)])
-def test_who_is_not_let_in_any_more_is_not_tried_again(status: int, is_tried_again: bool) -> None:
-    async def work() -> None:
-        refusals: list[str] = []
+async def test_who_is_not_let_in_any_more_is_not_tried_again(
+    status: int, is_tried_again: bool
+) -> None:
+    refusals: list[str] = []
 
-        async def opening() -> ClientSocket:
-            if not refusals:
-                refusals.append("after this")
-                return cast("ClientSocket", Socket(KEPT))
-            refusals.append(f"HTTP {status}")
-            raise InvalidStatus(Response(status, "", Headers()))
+    async def opening() -> ClientSocket:
+        if not refusals:
+            refusals.append("after this")
+            return cast("ClientSocket", Socket(KEPT))
+        refusals.append(f"HTTP {status}")
+        raise InvalidStatus(Response(status, "", Headers()))
 
-        link = Link(opening, TEXT_FORM, _ignore)
-        await link.start(resume=True)
-        await link.run()
-        assert f"HTTP {status}" in link.closed
-        assert (len(refusals) > 2) is is_tried_again
-
-    asyncio.run(work())
+    link = Link(opening, TEXT_FORM, _ignore)
+    await link.start(resume=True)
+    await link.run()
+    assert f"HTTP {status}" in link.closed
+    assert (len(refusals) > 2) is is_tried_again
 
 
 async def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:
@@ -136,63 +134,56 @@ async def test_of_more_than_can_be_asked_for_the_rest_fails() -> None:
     }
 
 
-def test_changes_that_are_not_taken_are_the_newest() -> None:
-    async def work() -> None:
-        changes = (
-            {"op": "Status", "type": "change", "jsonMessage": change(number)}
-            for number in range(3000)
-        )
-        socket = Socket({"op": "Reply", "id": "1", "jsonMessage": {}}, *changes)
+async def test_changes_that_are_not_taken_are_the_newest() -> None:
+    changes = (
+        {"op": "Status", "type": "change", "jsonMessage": change(number)} for number in range(3000)
+    )
+    socket = Socket({"op": "Reply", "id": "1", "jsonMessage": {}}, *changes)
 
-        async def opening() -> ClientSocket:
-            return cast("ClientSocket", socket)
+    async def opening() -> ClientSocket:
+        return cast("ClientSocket", socket)
 
-        client = RemoteRobot(opening, TEXT_FORM)
-        watching = client.watch()
-        first = asyncio.ensure_future(anext(watching))
-        async with client.running(resume=False):
-            await client.ended()
-        numbers = [(await first).number, *[status_event.number async for status_event in watching]]
-        assert len(numbers) < 2000
-        assert numbers == list(range(numbers[0], 3000))
-
-    asyncio.run(asyncio.wait_for(work(), patience()))
+    client = RemoteRobot(opening, TEXT_FORM)
+    watching = client.watch()
+    first = asyncio.ensure_future(anext(watching))
+    async with client.running(resume=False):
+        await client.ended()
+    numbers = [(await first).number, *[status_event.number async for status_event in watching]]
+    assert len(numbers) < 2000
+    assert numbers == list(range(numbers[0], 3000))
 
 
 def change(number: int) -> object:
     return to_json(StatusEvent(number, 0, "connection c", "running"))
 
 
-def test_what_the_network_has_not_taken_yet_dies_with_a_drop() -> None:
+async def test_what_the_network_has_not_taken_yet_dies_with_a_drop() -> None:
     """An end in order still sends what the system holds, once the network is back."""
 
-    async def work() -> None:
-        endings: asyncio.Queue[Exception | None] = asyncio.Queue()
+    endings: asyncio.Queue[Exception | None] = asyncio.Queue()
 
-        class Peer(ServerConnection):
-            def connection_lost(self, exc: Exception | None) -> None:
-                super().connection_lost(exc)
-                endings.put_nowait(exc)
+    class Peer(ServerConnection):
+        def connection_lost(self, exc: Exception | None) -> None:
+            super().connection_lost(exc)
+            endings.put_nowait(exc)
 
-        async def greet(connection: ServerConnection) -> None:
-            await connection.send(json.dumps(HELLO))
-            await connection.wait_closed()
+    async def greet(connection: ServerConnection) -> None:
+        await connection.send(json.dumps(HELLO))
+        await connection.wait_closed()
 
-        async with serve(greet, "127.0.0.1", 0, create_connection=Peer) as server:
-            port = next(iter(server.sockets)).getsockname()[1]
+    async with serve(greet, "127.0.0.1", 0, create_connection=Peer) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
 
-            async def opening() -> ClientSocket:
-                opened = await connect(
-                    f"ws://127.0.0.1:{port}/", proxy=None, create_connection=ClientSocket
-                )
-                assert isinstance(opened, ClientSocket)
-                return opened
+        async def opening() -> ClientSocket:
+            opened = await connect(
+                f"ws://127.0.0.1:{port}/", proxy=None, create_connection=ClientSocket
+            )
+            assert isinstance(opened, ClientSocket)
+            return opened
 
-            link = Link(opening, TEXT_FORM, lambda _: None)
-            await link.start(resume=False)
-            running = asyncio.ensure_future(link.run())
-            link.drop()
-            assert isinstance(await endings.get(), ConnectionResetError)
-            await running
-
-    asyncio.run(asyncio.wait_for(work(), patience()))
+        link = Link(opening, TEXT_FORM, lambda _: None)
+        await link.start(resume=False)
+        running = asyncio.ensure_future(link.run())
+        link.drop()
+        assert isinstance(await endings.get(), ConnectionResetError)
+        await running

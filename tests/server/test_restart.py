@@ -96,28 +96,25 @@ async def test_what_waits_for_an_answer_fails_and_nothing_is_done_twice(
         script.release()
 
 
-def test_what_was_asked_during_a_drop_is_not_done_by_the_session_after(
+async def test_what_was_asked_during_a_drop_is_not_done_by_the_session_after(
     serve: Serve, between: Between, caplog: pytest.LogCaptureFixture
 ) -> None:
     """It has failed, and may be asked again by then."""
     caplog.set_level("INFO", "uoarm.audit")
     proxy = between(serve(Limits(resume_seconds=slowness())))
 
-    async def work() -> None:
-        async with connect(f"ws://127.0.0.1:{proxy.port}/") as client:
-            await client.status()
-            proxy.cut(admit=False)
-            await until(lambda: proxy.refused > 0)
-            lost = asyncio.ensure_future(client.call("add", {"a": 1, "b": 2}))
-            await until(lambda: client.restarts == 1)
-            proxy.admit()
-            with pytest.raises(ConnectionClosedError):
-                await lost
-            assert await client.call("parrot", {"text": "polly"}) == {"text": "polly"}
-        assert '"parrot"' in caplog.text
-        assert '"add"' not in caplog.text
-
-    asyncio.run(asyncio.wait_for(work(), SECONDS))
+    async with connect(f"ws://127.0.0.1:{proxy.port}/") as client:
+        await client.status()
+        proxy.cut(admit=False)
+        await until(lambda: proxy.refused > 0)
+        lost = asyncio.ensure_future(client.call("add", {"a": 1, "b": 2}))
+        await until(lambda: client.restarts == 1)
+        proxy.admit()
+        with pytest.raises(ConnectionClosedError):
+            await lost
+        assert await client.call("parrot", {"text": "polly"}) == {"text": "polly"}
+    assert '"parrot"' in caplog.text
+    assert '"add"' not in caplog.text
 
 
 async def test_a_command_of_before_reaches_nothing_of_after(restarting: Restarting) -> None:
