@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from enum import Enum
 from typing import Annotated, Literal, TypedDict
 
 from typing_extensions import NotRequired
@@ -33,11 +32,6 @@ class Text(TypedDict):
 class Picture(TypedDict):
     width: int
     data: Octets
-
-
-class Colour(Enum):
-    RED = "red"
-    BLUE = "blue"
 
 
 class Whole(TypedDict):

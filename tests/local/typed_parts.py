@@ -145,10 +145,6 @@ def numpy_count() -> Iterator[Count]:
     yield Count(np.int64(7))
 
 
-def wrong_count() -> Iterator[Count]:
-    yield Count("nine")  # type: ignore[arg-type]
-
-
 def wrong_number(asked: Number) -> Number:
     return {"value": "nine"}  # type: ignore[typeddict-item]
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from attrs import evolve
+from tests.control.world import FACE
 
 from uoarm import Connection, RobotManager
 from uoarm._control.engine.events import TimeReached
@@ -28,20 +29,7 @@ NUMBER = {"type": "integer", "minimum": 0, "maximum": 100_000}
 PATIENCE = 1000.0
 BETWEEN_LOOKS = PATIENCE / 4
 
-ROBOT = """
-version: 1
-bridges: {one: {plugin: memory}, two: {plugin: memory}}
-functions:
-  camera:
-    components:
-      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
-      - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
-  face:
-    components:
-      - name: finder
-        bridge: two
-        input: {from: camera, endpoint: [finder]}
-        output: {endpoint: [finder]}
+NAME = """
   name:
     components:
       - name: namer
@@ -79,7 +67,7 @@ class Stage:
         self.spare = self.two.emitter("spare", NUMBER)
         self.finder = self.two.loop("finder", NUMBER)
         self.namer = self.one.loop("namer", NUMBER)
-        robot = evolve(loads(ROBOT), failover=FailoverPolicy(return_after=PATIENCE))
+        robot = evolve(loads(FACE + NAME), failover=FailoverPolicy(return_after=PATIENCE))
         bridges = {"one": self.one, "two": self.two}
         self.robot = RobotManager(robot, bridges=bridges, clock=self.clock)
 

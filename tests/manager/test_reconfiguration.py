@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from tests.control.world import FACE
 from tests.manager import stage
 
 from uoarm import RobotManager
@@ -21,24 +22,14 @@ from uoarm.model import Effect, Options
 from uoarm.testing import Background, Emitter, MemoryBridge, patience, wait
 
 NUMBER = {"type": "integer"}
-ROBOT = """
-version: 1
-bridges: {one: {plugin: memory}, two: {plugin: memory}}
-functions:
-  camera:
-    components:
-      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
-      - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
-  face:
-    components:
-      - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
-         output: {endpoint: [finder]}}
+LAMP = """
   lamp:
     components:
       - {name: light, bridge: two, output: {endpoint: [light]}}
 """
+ROBOT = FACE + LAMP
 OTHER_CAMERA = ROBOT.replace("endpoint: [best]", "endpoint: [better]")
-NO_LAMP = ROBOT[: ROBOT.index("  lamp:")]
+NO_LAMP = FACE
 
 
 class Lab:

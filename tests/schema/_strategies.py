@@ -56,4 +56,3 @@ def related_pair(choices: Choices) -> Pair:
 
 schemas = drawn(any_schema)
 pairs = drawn(related_pair)
-all_choices = drawn(lambda choices: choices)

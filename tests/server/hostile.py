@@ -82,10 +82,6 @@ def many_cbor(item: bytes, octets: int = LARGEST) -> bytes:
     return head(4, count) + item * count
 
 
-def nested_lists(depth: int) -> bytes:
-    return b"\x81" * depth + b"\x01"
-
-
 def rows_in_rows(times: int, sizes: list[int]) -> bytes:
     """Return arrays of several dimensions within one another: each adds to the depth."""
     value = rows(sizes, b"\x81\x01")

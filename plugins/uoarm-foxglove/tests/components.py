@@ -49,7 +49,6 @@ functions:
       - {name: broken, bridge: python, service: {endpoint: ["components:broken"]}}
 """
 
-Octet = Annotated[int, Range(0, 255)]
 Int32 = Annotated[int, Range(-(2**31), 2**31 - 1)]
 
 

@@ -16,7 +16,6 @@ from uoarm.model import Health, MessageStructure
 from uoarm.testing import Collector, patience, same
 
 ANY = MessageStructure(True)
-ARRAY = "std_msgs/Float64MultiArray"
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,6 @@ from uoarm import RobotManager
 from uoarm.model import MessageStructure
 
 HEADER = b"\0\1\0\0" if sys.byteorder == "little" else b"\0\0\0\0"
-BYTE = {"type": "integer", "minimum": 0, "maximum": 255}
 
 
 def structure(**fields: object) -> MessageStructure:

@@ -47,10 +47,6 @@ def test_an_order_is_carried_out_in_its_order(release: str) -> None:
     assert (made.last_node, made.last_sequence) == ("c", 4)
 
 
-def _changed(body: dict[str, Any], **more: Any) -> dict[str, Any]:
-    return {**body, **more}
-
-
 @pytest.mark.parametrize(
     ("release", "expected"),
     [
