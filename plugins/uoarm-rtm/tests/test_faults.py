@@ -22,7 +22,7 @@ from uoarm_rtm.nameserver import NameServer
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, Role
-from uoarm.testing import Collector, free_port, patience, wait
+from uoarm.testing import Background, Collector, free_port, patience, wait
 
 HERE = Path(__file__).parent
 Start = Callable[..., Peer]
@@ -85,13 +85,15 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
     into = sink(bridge, IN)
     checked(bridge, "Mortal.rtc")
     component.freeze()
+    # At once, as each takes all of the limit.
+    sending = Background(lambda: into.send(stamped(1)))
+    describing = Background(lambda: bridge.describe(OUT))
+    discovering = Background(lambda: bridge.discover(timeout=patience()))
     with pytest.raises(BridgeTimeoutError, match="did not take a message"):
-        into.send(stamped(1))
+        sending.result()
     with pytest.raises(BridgeTimeoutError):
-        bridge.describe(OUT)
-    found = {
-        discovered.name: discovered.detail for discovered in bridge.discover(timeout=patience())
-    }
+        describing.result()
+    found = {item.name: item.detail for item in discovering.result()}
     assert found["Mortal.rtc"] == "hung"
     events.event(Health.LOST, "component Mortal.rtc does not answer: it hangs")  # not its port
     component.thaw()
