@@ -25,7 +25,6 @@ from tests.harness._needs import NEEDS, missing
 ROOT = Path(__file__).parents[1]
 REPORTS = ROOT / "build" / "tests"
 NO_TESTS = 5
-WAITING_WORKERS = 4
 PLUGINS = (
     "ros2",
     "rtm",
@@ -51,7 +50,6 @@ class Tier:
         needs: without which none of it can be run.
         is_long: whether it takes long, and is run only where it is asked for.
         is_late: whether its threads begin late and go on late, as on a busy machine.
-        is_waiting: whether its tests wait for peers more than they compute.
     """
 
     name: str
@@ -60,13 +58,6 @@ class Tier:
     needs: tuple[str, ...] = ()
     is_long: bool = False
     is_late: bool = False
-    is_waiting: bool = False
-
-    @property
-    def workers(self) -> str:
-        """Return how many tests run at once, as pytest-xdist takes it."""
-        cores = os.cpu_count() or 1
-        return str(max(cores, WAITING_WORKERS)) if self.is_waiting else "auto"
 
     @property
     def variables(self) -> dict[str, str]:
@@ -87,16 +78,10 @@ TIERS = (
             f"plugins/uoarm-{name}",
             (f"plugins/uoarm-{name}/tests", "-m", "not long"),
             (name,),
-            is_waiting=True,
         )
         for name in PLUGINS
     ),
-    Tier(
-        "programs",
-        "browser, Node.js, vision, the examples",
-        ("tests", "-m", "needs"),
-        is_waiting=True,
-    ),
+    Tier("programs", "browser, Node.js, vision, the examples", ("tests", "-m", "needs")),
     Tier("long-core", "the core, its properties at length", ("tests", "-m", LONG), is_long=True),
     Tier(
         "late-core",
@@ -112,7 +97,6 @@ TIERS = (
             (f"plugins/uoarm-{name}/tests",),
             (name,),
             is_long=True,
-            is_waiting=True,
         )
         for name in PLUGINS
     ),
@@ -150,10 +134,10 @@ def run(tier: Tier) -> Outcome:
         return Outcome(tier, Counter(), 0.0, bool(must), reasons)
     report = REPORTS / f"{tier.name}.xml"
     report.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml", "--rootdir=."]
+    command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml", "--rootdir=.", "-n", "auto"]
     begin = time.monotonic()
     done = subprocess.run(
-        [*command, f"-n={tier.workers}", f"--junitxml={report}", *tier.arguments],
+        [*command, f"--junitxml={report}", *tier.arguments],
         cwd=ROOT,
         env={**os.environ, **tier.variables},
         check=False,
