@@ -52,7 +52,8 @@ class HostedWorld(World):
     def served(self) -> Served:
         double, broken = at("parts:double", Role.SERVICE), at("parts:broken", Role.SERVICE)
         silent = at("hosted_kit_parts:silent", Role.SERVICE)
-        return Served(double, {"value": 21}, {"value": 42}, broken, silent)
+        text = at("parts:measure", Role.SERVICE), {"text": "Kia ora", "kind": "a"}
+        return Served(double, {"value": 21}, {"value": 42}, broken, silent, text=text)
 
 
 def at(target: str, role: Role, **parameters: object) -> Endpoint:

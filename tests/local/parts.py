@@ -71,6 +71,10 @@ def double(message: Value) -> Value:
     return {"value": 2 * message["value"]}
 
 
+def measure(message: Text) -> Value:
+    return {"value": len(message["text"])}
+
+
 def broken(message: Value) -> Value:
     raise RuntimeError(f"the service is broken: {message}")
 

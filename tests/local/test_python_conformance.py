@@ -51,7 +51,8 @@ class PythonWorld(World):
     def served(self) -> Served:
         silent = at("silent", Role.SERVICE, released=self._released)
         broken, double = at("broken", Role.SERVICE), at("double", Role.SERVICE)
-        return Served(double, {"value": 21}, {"value": 42}, broken, silent)
+        text = at("measure", Role.SERVICE), {"text": "Kia ora", "kind": "a"}
+        return Served(double, {"value": 21}, {"value": 42}, broken, silent, text=text)
 
     def close(self) -> None:
         for killed in self._killed:

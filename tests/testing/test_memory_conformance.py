@@ -70,6 +70,8 @@ class MemoryWorld(World):
         made.service("double", value, value, lambda asked: {"value": 2 * asked["value"]})
         made.service("broken", value, value, self._fail)
         made.service("silent", value, value, self._hold)
+        text = closed(value=SCHEMAS["text"])
+        made.service("length", text, value, lambda asked: {"value": len(asked["value"])})
         return made
 
     def pair(self, kind: str) -> Pair:
@@ -121,9 +123,11 @@ class MemoryWorld(World):
         return Retained(at("latched", Role.OUTPUT), emit)
 
     def served(self) -> Served:
-        services = [at(name, Role.SERVICE) for name in ("double", "broken", "silent")]
+        names = ("double", "broken", "silent")
+        double, failing, silent = (at(name, Role.SERVICE) for name in names)
         more = [({"value": n}, {"value": 2 * n}) for n in range(3)]
-        return Served(services[0], {"value": 21}, {"value": 42}, services[1], services[2], more)
+        text = at("length", Role.SERVICE), {"value": "Kia ora"}
+        return Served(double, {"value": 21}, {"value": 42}, failing, silent, more, text)
 
     def servable(self) -> tuple[Endpoint, Endpoint]:
         return at("offered", Role.SERVICE), at("offered", Role.SERVICE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from brokers import Broker, Peer
@@ -69,16 +69,19 @@ class MqttWorld(World):
         self._bridge_lasts = bridge_lasts
         self._retained: dict[str, Any] = {f"described/{self.at}/found": VALUE}
         if bridge_lasts:
-            self._retained |= {f"described/{self.at}/{name}": SERVICE for name in SERVICES}
+            self._retained |= {f"described/{topic}": taken for topic, taken in self._services()}
         self._retain()
 
     def spec(self) -> BridgeSpec:
         if self._bridge_lasts:
             return lasting_spec(self.broker)
-        services = {f"{self.at}/{name}": SERVICE for name in SERVICES}
-        return BridgeSpec(
-            "mqtt", "mqtt", {**lasting_spec(self.broker).options, "services": services}
-        )
+        options = {**lasting_spec(self.broker).options, "services": dict(self._services())}
+        return BridgeSpec("mqtt", "mqtt", options)
+
+    def _services(self) -> Iterator[tuple[str, Any]]:
+        for name in SERVICES:
+            yield f"{self.at}/{name}", SERVICE
+        yield f"{self.at}/length", {"request": KINDS["text"], "reply": VALUE}
 
     def endpoint(self, name: str, role: Role = Role.OUTPUT, **options: object) -> Endpoint:
         topic = f"{self.at}/{name}"
@@ -147,7 +150,9 @@ class MqttWorld(World):
         peer.serve(f"{self.at}/silent", lambda _: None)
         made = [self.endpoint(name, Role.SERVICE) for name in SERVICES[:3]]
         more = [({"value": n}, {"value": 2 * n}) for n in range(3)]
-        return Served(made[0], {"value": 21}, {"value": 42}, made[1], made[2], more)
+        peer.serve(f"{self.at}/length", length)
+        text = self.endpoint("length", Role.SERVICE), "Kia ora"
+        return Served(made[0], {"value": 21}, {"value": 42}, made[1], made[2], more, text)
 
     def servable(self) -> tuple[Endpoint, Endpoint]:
         endpoint = self.endpoint("served", Role.SERVICE)
@@ -181,3 +186,7 @@ def lasting_spec(broker: Broker) -> BridgeSpec:
 
 def double(request: bytes) -> bytes:
     return json.dumps({"value": 2 * json.loads(request)["value"]}).encode()
+
+
+def length(request: bytes) -> bytes:
+    return json.dumps({"value": len(json.loads(request))}).encode()

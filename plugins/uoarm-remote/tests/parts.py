@@ -106,6 +106,11 @@ def double(request: Value) -> Value:
     return {"value": 2 * request["value"]}
 
 
+def length(request: str) -> Value:
+    """Answer with the number of characters."""
+    return {"value": len(request)}
+
+
 def failing(request: Value) -> Value:
     """Fail."""
     raise ValueError(f"{request} cannot be doubled")

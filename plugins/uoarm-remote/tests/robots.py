@@ -47,6 +47,7 @@ functions:
   second: {components: [{name: second, bridge: python, output: {endpoint: ["parts:second"]}}]}
   counter: {components: [{name: counter, bridge: python, output: {endpoint: ["parts:counter"]}}]}
   double: {components: [{name: double, bridge: python, service: {endpoint: ["parts:double"]}}]}
+  length: {components: [{name: length, bridge: python, service: {endpoint: ["parts:length"]}}]}
   failing: {components: [{name: failing, bridge: python, service: {endpoint: ["parts:failing"]}}]}
   silent: {components: [{name: silent, bridge: python, service: {endpoint: ["parts:silent"]}}]}
   drive:

@@ -81,7 +81,8 @@ class ManagerWorld(World):
     def served(self) -> Served:
         first, failing, silent = (self.at(name, Role.SERVICE) for name in SERVICES)
         more = [({"value": number}, {"value": 2 * number}) for number in range(3)]
-        return Served(first, {"value": 21}, {"value": 42}, failing, silent, more)
+        text = self.at("length", Role.SERVICE), "Kia ora"
+        return Served(first, {"value": 21}, {"value": 42}, failing, silent, more, text)
 
 
 class TestRemoteManager(BridgeConformance):

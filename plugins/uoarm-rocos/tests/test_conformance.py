@@ -63,12 +63,16 @@ def fields_of(kind: str) -> Fields:
 
 
 class Mirror:
-    """What comes in on a flow goes out on it; `double` doubles, `broken` fails, `silent` waits."""
+    """What comes in on a flow goes out on it; `double` doubles, `broken` fails, `silent` waits.
+
+    `length` takes text.
+    """
 
     def __init__(self) -> None:
         apis = {kind: Api(kind, ApiKind.FLOW, fields_of(kind), fields_of(kind)) for kind in KINDS}
         for name in ("double", "broken", "silent"):
             apis[name] = Api(name, ApiKind.SERVICE, VALUE, VALUE)
+        apis["length"] = Api("length", ApiKind.SERVICE, fields_of("text"), VALUE)
         # Nothing here ends by silence, which a busy machine is to these devices now and then.
         self.catalogue = DeviceCatalogue("mirror", apis, heartbeat=min(patience() / 3, 60.0))
         self._came: list[tuple[str, dict[str, Any]]] = []
@@ -79,6 +83,8 @@ class Mirror:
             raise ValueError("the service is broken")
         if api == "silent":
             return lambda now: None
+        if api == "length":
+            return {"value": len(values["text"])}
         return {"value": 2 * values["value"]}
 
     def sample(self, api: str, now: float) -> dict[str, Any] | None:
@@ -166,9 +172,11 @@ class RocosWorld(World):
         return emit
 
     def served(self) -> Served:
-        services = [endpoint("mirror", name, "service") for name in ("double", "broken", "silent")]
+        names = ("double", "broken", "silent")
+        double, failing, silent = (endpoint("mirror", name, "service") for name in names)
         more = [({"value": number}, {"value": 2 * number}) for number in range(3)]
-        return Served(services[0], {"value": 21}, {"value": 42}, services[1], services[2], more)
+        text = endpoint("mirror", "length", "service"), {"text": "Kia ora"}
+        return Served(double, {"value": 21}, {"value": 42}, failing, silent, more, text)
 
     def close(self) -> None:
         self._plugged.set()

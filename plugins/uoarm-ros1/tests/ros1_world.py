@@ -140,7 +140,9 @@ class Ros1World(World):
             for data in (True, False, True)
         ]
         request, reply = more[0]
-        return Served(endpoints[0], request, reply, endpoints[1], endpoints[2], more)
+        peer.do("serve", service=f"{self.at}/level", type="roscpp/SetLoggerLevel", how="ok")
+        text = self.endpoint("level", Role.SERVICE), {"logger": "rosout", "level": "info"}
+        return Served(endpoints[0], request, reply, endpoints[1], endpoints[2], more, text)
 
     def servable(self) -> tuple[Endpoint, Endpoint]:
         offered = self.endpoint("offered", Role.SERVICE, "std_srvs/SetBool")

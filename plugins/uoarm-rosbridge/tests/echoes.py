@@ -16,6 +16,7 @@ functions:
   arrays: {components: [{name: arrays, bridge: python, input: {endpoint: ["echoes:arrays"], queue: {length: 10000}}, output: {endpoint: ["echoes:arrays"]}}]}
   image: {components: [{name: image, bridge: python, input: {endpoint: ["echoes:image"], queue: {length: 100}}, output: {endpoint: ["echoes:image"]}}]}
   set: {components: [{name: set, bridge: python, service: {endpoint: ["echoes:set_"]}}]}
+  measure: {components: [{name: measure, bridge: python, service: {endpoint: ["echoes:measure"]}}]}
   failing: {components: [{name: failing, bridge: python, service: {endpoint: ["echoes:failing"]}}]}
   silent: {components: [{name: silent, bridge: python, service: {endpoint: ["echoes:silent"]}}]}
 """
@@ -54,6 +55,10 @@ class Flag(TypedDict):
     data: bool
 
 
+class Words(TypedDict):
+    text: str
+
+
 class Outcome(TypedDict):
     success: bool
     message: str
@@ -76,6 +81,10 @@ def image(message: Image) -> Image:
 
 def set_(request: Flag) -> Outcome:
     return {"success": request["data"], "message": f"data is {request['data']}"}
+
+
+def measure(request: Words) -> Point:
+    return {"x": float(len(request["text"])), "y": 0.0}
 
 
 def failing(request: Flag) -> Outcome:

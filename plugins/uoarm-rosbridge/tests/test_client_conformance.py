@@ -179,7 +179,8 @@ class ServerWorld(World):
         request, reply = more[0]
         names = ("set", "failing", "silent")
         first, failing, silent = (self.endpoint(name, Role.SERVICE) for name in names)
-        return Served(first, request, reply, failing, silent, more)
+        text = self.endpoint("measure", Role.SERVICE), {"text": "Kia ora"}
+        return Served(first, request, reply, failing, silent, more, text)
 
     def servable(self) -> tuple[Endpoint, Endpoint]:
         served = self.at("/robot/offered", Role.SERVICE, "std_srvs/srv/SetBool")

@@ -152,13 +152,14 @@ class RtmWorld(World):
         request = {"target": {"x": 0.5, "y": 0.0}, "steps": 3}
         reply = {"return": 0.5, "steps": 4, "path": [1.0]}
         limit = {"timeout": patience()}  # longer than the kit's own
-        service, failing, silent = (
+        service, failing, silent, echo = (
             Endpoint(
                 "rtm", "loop", Role.SERVICE, ("Loop.rtc", "served", f"Mover::{name}"), options=limit
             )
-            for name in ("move", "broken", "stuck")
+            for name in ("move", "broken", "stuck", "echo")
         )
-        return Served(service, request, reply, failing, silent)
+        text = echo, {"words": "Kia ora"}
+        return Served(service, request, reply, failing, silent, text=text)
 
     def servable(self) -> tuple[Endpoint, Endpoint]:
         limit = {"timeout": patience()}

@@ -380,12 +380,15 @@ class ServiceRules:
     def test_a_request_with_text_that_cannot_be_encoded_ends_in_words(
         self, world: World, bridge: Bridge, served: Served
     ) -> None:
-        request = bridge.describe(served.endpoint).request
+        endpoint, example = served.text or (served.endpoint, served.request)
+        request = bridge.describe(endpoint).request
         assert request is not None
+        broken = with_half(request.schema, example)
+        if broken == example:
+            pytest.skip("no request to the world's services has text")
+        bridge.call(endpoint, example)
         try:
-            bridge.call(
-                served.endpoint, with_half(request.schema, served.request), timeout=world.patience
-            )
+            bridge.call(endpoint, broken, timeout=world.patience)
         except BridgeTimeoutError:
             raise
         except UoarmError as error:

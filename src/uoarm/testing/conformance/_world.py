@@ -222,6 +222,8 @@ class Served:
         failing: a service that fails on every request; None where there is no such thing.
         silent: a service that answers no request in time; None where there is no such thing.
         more: further requests to the first service, each with a reply of its own.
+        text: a service whose request has text, and such a request; None: `request` has some, or
+            there is no such service.
     """
 
     endpoint: Endpoint
@@ -230,6 +232,7 @@ class Served:
     failing: Endpoint | None = None
     silent: Endpoint | None = None
     more: Sequence[tuple[Message, Message]] = ()
+    text: tuple[Endpoint, Message] | None = None
 
 
 class World(ABC):

@@ -44,6 +44,7 @@ class ExampleWorld(World):
 
     def __init__(self) -> None:
         services = {name: {"request": VALUE, "reply": VALUE} for name in SERVICES}
+        services["length"] = {"request": KINDS["text"], "reply": VALUE}
         self._bus = ExampleBus({**KINDS, **OTHERS}, services, retained=("latched",))
         self._peers: list[ExamplePeer] = []
 
@@ -99,9 +100,11 @@ class ExampleWorld(World):
         peer.serve("double", lambda request: {"value": 2 * request["value"]})
         peer.serve("failing", lambda _: ArithmeticError("the service is broken"))
         peer.serve("silent", lambda _: None)
+        peer.serve("length", lambda request: {"value": len(request)})
         first, failing, silent = (at(name, Role.SERVICE) for name in SERVICES[:3])
         more = [({"value": number}, {"value": 2 * number}) for number in range(3)]
-        return Served(first, {"value": 21}, {"value": 42}, failing, silent, more)
+        text = at("length", Role.SERVICE), "Kia ora"
+        return Served(first, {"value": 21}, {"value": 42}, failing, silent, more, text)
 
     def servable(self) -> tuple[Endpoint, Endpoint]:
         return at("offered", Role.SERVICE), at("offered", Role.SERVICE)
