@@ -24,8 +24,6 @@ from uoarm.bridge import Bridge, BridgeType
 from uoarm.errors import BridgeTimeoutError, UoarmError
 from uoarm.model import Component, Endpoint, Robot
 
-__all__ = ["CandidateWatch"]
-
 _ASK_SECONDS = 5.0
 _GRACE_SECONDS = 1.0
 _TURN_SECONDS = 1.0

@@ -21,8 +21,6 @@ from uoarm.config._keeping import KeptFile
 from uoarm.errors import ConfigurationError, ConnectionClosedError, UsageError
 from uoarm.model import ConfigurationChange, Effect, Robot
 
-__all__ = ["ConfiguredRobot"]
-
 
 class ConfiguredRobot:
     """The part of a robot manager that has a configuration, which may change while it runs."""

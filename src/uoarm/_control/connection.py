@@ -32,8 +32,6 @@ from uoarm.model import (
     find_trouble,
 )
 
-__all__ = ["Connection"]
-
 
 @final
 class Connection(Generic[T]):

@@ -45,8 +45,6 @@ from uoarm.model import (
     ValidationMode,
 )
 
-__all__ = ["Requests", "Services"]
-
 
 class Requests:
     """Finds plans and opens connections, for any thread.

@@ -49,8 +49,6 @@ from uoarm.model import (
     ValidationMode,
 )
 
-__all__ = ["RobotManager"]
-
 _log = logging.getLogger("uoarm")
 _INBOX = QueuePolicy(length=64)
 _ENDED_RECORDINGS = 32

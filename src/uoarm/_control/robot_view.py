@@ -25,8 +25,6 @@ from uoarm.model import (
     StatusMap,
 )
 
-__all__ = ["RobotView"]
-
 _DISCOVERY_SECONDS = 60.0
 
 

@@ -30,8 +30,6 @@ from uoarm.model import (
     ValidationMode,
 )
 
-__all__ = ["ApplicationPorts", "OutputReceiver", "Sender"]
-
 _log = logging.getLogger("uoarm.commands")
 _LAST_SECONDS = 0.5
 

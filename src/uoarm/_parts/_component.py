@@ -42,8 +42,6 @@ from uoarm.model import (
     ValidationMode,
 )
 
-__all__ = ["LiveComponent", "LiveEdge"]
-
 _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
 _OPEN_SECONDS = 60.0

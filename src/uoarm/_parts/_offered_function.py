@@ -27,8 +27,6 @@ from uoarm.model import (
     format_reason,
 )
 
-__all__ = ["Functions", "OfferedFunction", "offered_structures"]
-
 _OPEN_SECONDS = 10.0
 _DESCRIBE_SECONDS = 10.0
 _CLOSE_SECONDS = 2.0

@@ -13,8 +13,6 @@ from uoarm._parts._component import LiveComponent, LiveEdge
 from uoarm.bridge import HealthEvent
 from uoarm.model import Expectation, Health
 
-__all__ = ["StalenessWatch"]
-
 _LOOK_SECONDS = 0.1
 _ENOUGH = 0.5
 

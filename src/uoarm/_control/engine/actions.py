@@ -19,36 +19,6 @@ from uoarm._control.engine.state import ConnectionRecord
 from uoarm._support.ordered import OrderedMap
 from uoarm.model import Plan
 
-__all__ = [
-    "Action",
-    "Adopt",
-    "Announce",
-    "CallAction",
-    "CancelBatch",
-    "CheckPreferred",
-    "Close",
-    "CloseOffer",
-    "Drain",
-    "FindReplacement",
-    "Finish",
-    "Forget",
-    "HandOver",
-    "Listen",
-    "LocalAction",
-    "Open",
-    "OpenOffer",
-    "Publish",
-    "Release",
-    "Reply",
-    "Resolve",
-    "RetireBridge",
-    "SetCheck",
-    "Stop",
-    "SwitchInputs",
-    "WakeAt",
-    "Warn",
-]
-
 
 @frozen
 class Resolve:

@@ -25,8 +25,6 @@ from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ResolutionError
 from uoarm.model import Component, Edge, Plan, Step, ValidationMode
 
-__all__ = ["Draft", "InputInUseError", "by_age", "connection_of"]
-
 
 class InputInUseError(ResolutionError):
     """An input is in use, fed by something else than a plan would feed it from.

@@ -19,30 +19,6 @@ from attrs import frozen
 from uoarm._control.engine.placement import Part
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 
-__all__ = [
-    "CandidatesChanged",
-    "Configured",
-    "Drained",
-    "Ended",
-    "Event",
-    "HealthReported",
-    "InputsSwitched",
-    "Killed",
-    "OfferClosed",
-    "OfferOpened",
-    "OfferReported",
-    "OffersWanted",
-    "Opened",
-    "PreferredChecked",
-    "RanOut",
-    "ReplacementSought",
-    "Requested",
-    "Resolved",
-    "Stopped",
-    "TimeReached",
-    "write_event",
-]
-
 
 @frozen
 class Requested:

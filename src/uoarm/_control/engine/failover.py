@@ -21,20 +21,6 @@ from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import ConnectionState, Health, Plan
 
-__all__ = [
-    "death",
-    "found",
-    "health_reported",
-    "look_again",
-    "look_soon",
-    "replace",
-    "replace_lost",
-    "replace_unopened",
-    "seek",
-    "seek_plan",
-    "try_another",
-]
-
 # Between two searches of a connection that waits: an eighth of what it has waited, within these.
 _AGAIN_SECONDS = 0.1
 _SELDOM_SECONDS = 5.0

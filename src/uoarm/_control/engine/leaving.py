@@ -12,16 +12,6 @@ from uoarm._control.engine.placement import Placement
 from uoarm._control.engine.state import ConnectionRecord, Preference
 from uoarm.model import ConnectionState, Health
 
-__all__ = [
-    "cancel_switchover",
-    "changes_lately",
-    "drop_next",
-    "end",
-    "finish_if_asked",
-    "hand_over",
-    "look_later",
-]
-
 _MINUTE = 60.0
 _LEAST_LOOK_SECONDS = 0.05
 

@@ -16,17 +16,6 @@ from uoarm._control.engine.placement import Placement
 from uoarm._support.ordered import OrderedMap
 from uoarm.model import ConnectionState, FailoverPolicy
 
-__all__ = [
-    "RULES",
-    "Move",
-    "MovePhase",
-    "MoveReason",
-    "MoveRule",
-    "OnOpenFailure",
-    "forget_earlier",
-    "recently",
-]
-
 # For so long what failed is tried last, and what was avoided is done without.
 _REMEMBERED_SECONDS = 300.0
 

@@ -14,15 +14,6 @@ from uoarm._control.engine.draft import Draft
 from uoarm._control.engine.state import OfferRecord
 from uoarm.model import Health, OfferState
 
-__all__ = [
-    "offer_closed",
-    "offer_opened",
-    "offer_reported",
-    "offers_wanted",
-    "retry_offers",
-    "settle_offers",
-]
-
 _PAUSES = Backoff(first=1.0, most=30.0)
 # Between two attempts, also where what is well again has it tried at once.
 _LEAST_SECONDS = 0.1

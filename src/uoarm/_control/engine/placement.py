@@ -15,21 +15,6 @@ from rpds import HashTrieMap, HashTrieSet
 
 from uoarm.model import Edge, Health, Plan, Step, ValidationMode
 
-__all__ = [
-    "NONE",
-    "NOTHING",
-    "PORTS",
-    "Batch",
-    "ComponentHealth",
-    "ComponentRecord",
-    "DrainingPlan",
-    "EdgeRecord",
-    "Kind",
-    "Part",
-    "Parts",
-    "Placement",
-]
-
 NOTHING: HashTrieMap[Any, Any] = HashTrieMap()
 NONE: HashTrieSet[Any] = HashTrieSet()
 """The empty map and the empty set, from which persistent ones begin."""

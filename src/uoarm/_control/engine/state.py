@@ -29,16 +29,6 @@ from uoarm.model import (
     ValidationMode,
 )
 
-__all__ = [
-    "ConnectionRecord",
-    "OfferRecord",
-    "Preference",
-    "State",
-    "Switchover",
-    "listed",
-    "oldest_first",
-]
-
 # Of a cause that names components; thousands may die with one bridge.
 _LISTED = 8
 

@@ -32,8 +32,6 @@ from uoarm.errors import (
 )
 from uoarm.model import ConnectionState, Health, Plan, PortRef
 
-__all__ = ["Remaining", "difference", "step"]
-
 _CLOSED = "the robot manager is closed"
 
 

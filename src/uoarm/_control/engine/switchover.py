@@ -25,21 +25,6 @@ from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ResolutionError
 from uoarm.model import ConnectionState, Plan
 
-__all__ = [
-    "abandon",
-    "arrive",
-    "begin",
-    "candidates_changed",
-    "configured",
-    "continue_reconfiguration",
-    "found",
-    "inputs_switched",
-    "look_for_preferred",
-    "may_move",
-    "preferred_checked",
-    "seek_outdated",
-]
-
 _KNOWN_CHANGES = 16
 
 

@@ -18,8 +18,6 @@ from uoarm._parts import ApplicationPorts, LiveComponent, LiveEdge, OutputReceiv
 from uoarm._spans import past_span
 from uoarm.model import Gap, QueuePolicy, RouteStatus
 
-__all__ = ["ConnectionRuntime", "LossAccount"]
-
 Sums: TypeAlias = Mapping[tuple[str, str], RouteStatus]
 Gone: TypeAlias = tuple[LiveComponent, ...]
 

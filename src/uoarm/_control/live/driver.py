@@ -49,8 +49,6 @@ from uoarm.config import compare
 from uoarm.errors import BridgeTimeoutError, UoarmError
 from uoarm.model import Component, Health, Plan, Robot
 
-__all__ = ["Driver"]
-
 _LISTED_CHANGES = 20
 _LANES = 8
 _PATIENCE_SECONDS = 0.05

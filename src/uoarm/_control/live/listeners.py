@@ -12,8 +12,6 @@ from uoarm._raised import LimitedLog, foreign
 from uoarm._support.ordered import keep_newest
 from uoarm.model import StatusEvent
 
-__all__ = ["EventDispatcher"]
-
 _CLOSE_SECONDS = 2.0
 _RECORDED = frozenset({"lost", "failed", "replaced"})
 _BURST = 20

@@ -24,8 +24,6 @@ from uoarm.bridge import HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import Health, Offer, OfferState, OfferStatus, Robot, RouteStatus, StatusEvent
 
-__all__ = ["Offers"]
-
 _log = logging.getLogger("uoarm")
 _LEAVING_SECONDS = 5.0
 _CHANGES = frozenset({"failed", "closed", "waiting", "replaced"})

@@ -36,8 +36,6 @@ from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.model import Component, ComponentStatus, Health, RouteStatus, ValidationMode
 
-__all__ = ["Ending", "LiveParts", "StateOwner"]
-
 T = TypeVar("T")
 
 _HANGING = 4

@@ -50,13 +50,6 @@ from uoarm.model import (
     Robot,
 )
 
-__all__ = [
-    "Revision",
-    "Revisions",
-    "StagedRevision",
-    "octets_of",
-]
-
 _log = logging.getLogger("uoarm")
 
 _KEPT = 100

@@ -16,8 +16,6 @@ from uoarm.model import BridgeSpec, Role
 from uoarm.testing._resources import ResourceSnapshot
 from uoarm.testing.conformance._world import World, example_of, line, rules, structure_of
 
-__all__ = ["Declaring", "Describing"]
-
 _FAILURES = 5
 _ABSENT = (FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE)
 _REFUSED = (*_ABSENT, FailureReason.BAD_ENDPOINT)

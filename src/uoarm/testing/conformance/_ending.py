@@ -18,8 +18,6 @@ from uoarm.testing._resources import ResourceSnapshot
 from uoarm.testing._waiting import Background, Collector, wait
 from uoarm.testing.conformance._world import World, example_of, line, rules, structure_of
 
-__all__ = ["EndingRules"]
-
 _CYCLES = 10
 _PROCESSES = 3  # of bridges that are each a process: what one of them leaves is seen, too
 _BACKLOG = 5

@@ -26,8 +26,6 @@ from uoarm.testing.conformance._world import (
     with_half,
 )
 
-__all__ = ["Breaking", "DisturbanceRules", "HealthLog"]
-
 _AGAIN = 3
 _SHORT_SECONDS = 0.5
 

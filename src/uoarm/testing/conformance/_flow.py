@@ -32,8 +32,6 @@ from uoarm.testing.conformance._world import (
     with_length,
 )
 
-__all__ = ["Flow", "ServiceRules"]
-
 _MANY = 200
 _SETTINGS: dict[str, Any] = {
     "deadline": None,

@@ -17,8 +17,6 @@ from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import Flow, ServiceRules
 from uoarm.testing.conformance._world import World, is_of_paths
 
-__all__ = ["BridgeConformance"]
-
 
 class BridgeConformance(
     Declaring, Describing, Flow, EndingRules, DisturbanceRules, Breaking, ServiceRules

@@ -23,31 +23,6 @@ from uoarm.schema import check
 from uoarm.testing._resources import hold_idle
 from uoarm.testing._waiting import Background, Collector, patience, plain, same
 
-__all__ = [
-    "PAGE",
-    "Line",
-    "Pair",
-    "Retained",
-    "Served",
-    "Victim",
-    "World",
-    "example_of",
-    "examples_of_service",
-    "find_other_type",
-    "hold_bridge_idle",
-    "hold_idle_between",
-    "is_of_paths",
-    "line",
-    "of_paths",
-    "rule_of",
-    "rules",
-    "structure_of",
-    "with_half",
-    "with_integers",
-    "with_length",
-    "with_octets",
-]
-
 _BUFFERS = (bytes, bytearray, memoryview)
 _LONG = 300
 _SAMPLES: Mapping[str, Any] = {"boolean": True, "integer": 1, "number": 1.0, "string": "item"}

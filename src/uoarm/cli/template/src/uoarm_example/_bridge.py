@@ -29,8 +29,6 @@ from uoarm_example._connection import ExampleConnection
 from uoarm_example._discovery import described, discovered, is_retained
 from uoarm_example._options import BusOptions, ExampleOptions, mistake
 
-__all__ = ["ExampleBridge"]
-
 
 class ExampleBridge(Bridge):
     """An endpoint's address is one topic or service. Components publish and subscribe on topics."""

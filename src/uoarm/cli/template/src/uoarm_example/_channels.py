@@ -13,8 +13,6 @@ from uoarm_example._connection import ExampleConnection
 from uoarm_example._health import Report, monitored
 from uoarm_example._options import ExampleOptions
 
-__all__ = ["ExampleLink", "ExampleService", "ExampleSink", "ExampleSource", "decode", "encode"]
-
 _BUDGET = Budget()
 
 

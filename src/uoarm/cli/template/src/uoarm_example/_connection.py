@@ -19,8 +19,6 @@ from typing import Any, Protocol
 from uoarm.bridge import Backoff, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
-__all__ = ["ExampleConnection", "ExampleMember"]
-
 _BACKOFF = Backoff(first=0.05, most=2.0)
 _TICK_SECONDS = 0.5
 _MOST_LINES = 10_000

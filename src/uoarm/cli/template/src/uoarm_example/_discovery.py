@@ -9,8 +9,6 @@ from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, MessageStructure, Role
 from uoarm_example._connection import ExampleConnection
 
-__all__ = ["described", "discovered", "is_retained"]
-
 
 def described(connection: ExampleConnection, endpoint: Endpoint) -> Description:
     """Ask what messages an endpoint has.

@@ -10,8 +10,6 @@ from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor
 from uoarm.model import Health
 from uoarm_example._options import ExampleOptions
 
-__all__ = ["Report", "monitored"]
-
 Report = Callable[[Channel, Health, str], None]
 
 

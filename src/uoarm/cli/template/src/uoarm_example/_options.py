@@ -7,8 +7,6 @@ from attrs import frozen
 from uoarm.bridge import BridgeOptions, EndpointOptions, option
 from uoarm.model import Options
 
-__all__ = ["BusOptions", "ExampleOptions", "mistake"]
-
 _SECONDS = {"type": "number", "exclusiveMinimum": 0}
 _PORT = {"type": "integer", "minimum": 1, "maximum": 65535, "examples": [7400]}
 
