@@ -262,6 +262,19 @@ def test_a_robot_of_one_framework_loads_no_other_plugin_and_no_validator(tmp_pat
     assert _printed(code) == "\nFalse False"
 
 
+def test_a_server_with_every_front_end_loads_no_numpy(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(ROBOT, encoding="utf-8")
+    code = f"""
+import sys
+from uoarm import RobotManager
+from uoarm.server import ServerOptions, serve_in_thread
+with RobotManager.from_file({str(file)!r}) as robot, serve_in_thread(robot, ServerOptions(port=0)):
+    print("numpy" in sys.modules, "uoarm_rosbridge._front_end" in sys.modules)
+"""
+    assert _printed(code) == "False True"
+
+
 ROBOT = """
 version: 1
 bridges: {python: {}}

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias, TypeVar
 import orjson
 from attrs import frozen
 
-from uoarm.cdr import definition_of, deserialiser, serialiser
+from uoarm import cdr
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, BudgetUse, Message, MessageStructure
 from uoarm.server.front_end import TEXT_FORM, Read, read_message, read_text
@@ -188,8 +188,8 @@ def codec_of(structure: MessageStructure, name: str) -> StructureCodec:
         name: of the type where the structure is of none, `package/msg/Name`.
     """
     try:
-        definition = definition_of(structure, name)
-        serialise = serialiser(structure)
+        definition = cdr.definition_of(structure, name)
+        serialise = cdr.serialiser(structure)
     except MessageError:
         schema = orjson.dumps(TEXT_FORM.schema(structure.schema)).decode()
         return StructureCodec(
@@ -229,4 +229,4 @@ def _read_cdr(budget: Budget, structure: MessageStructure, payload: Message) -> 
 
 @functools.lru_cache(maxsize=256)
 def _deserialiser(structure: MessageStructure, budget: Budget) -> Callable[[bytes], Message]:
-    return deserialiser(structure, budget=budget)
+    return cdr.deserialiser(structure, budget=budget)

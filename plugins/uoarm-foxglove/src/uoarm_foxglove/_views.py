@@ -14,8 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any, TypeAlias
 
+from uoarm import cdr
 from uoarm.bridge import text_of
-from uoarm.cdr import RosDefinition, serialiser, structure_of_definition
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm_foxglove._protocol import CDR, StructureCodec
@@ -100,7 +100,7 @@ def _within(name: str, make: Make) -> Make:
 
 
 @cache
-def _definition(kind: str) -> tuple[RosDefinition, Callable[[Message], Sequence[Octets]]]:
+def _definition(kind: str) -> tuple[cdr.RosDefinition, Callable[[Message], Sequence[Octets]]]:
     text, wanted = _TEXTS[kind], [_TEXTS[kind]]
     parts: dict[str, str] = {}
     while wanted:
@@ -111,8 +111,8 @@ def _definition(kind: str) -> tuple[RosDefinition, Callable[[Message], Sequence[
                 wanted.append(_PARTS[name])
     for name, part in parts.items():
         text += f"{'=' * 80}\nMSG: {name}\n{part}"
-    definition = RosDefinition(f"foxglove_msgs/msg/{kind}", text)
-    return definition, serialiser(structure_of_definition(definition))
+    definition = cdr.RosDefinition(f"foxglove_msgs/msg/{kind}", text)
+    return definition, cdr.serialiser(cdr.structure_of_definition(definition))
 
 
 def _codec(kind: str, make: Make) -> StructureCodec:
