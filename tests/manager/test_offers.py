@@ -107,6 +107,11 @@ def served(stage: Stage, message: Any) -> Any:
     return stage.net.call(asked, message, timeout=patience())
 
 
+def test_an_address_of_several_ports_is_named_once(stage: Callable[[str], Stage]) -> None:
+    there = stage(ACTION.replace("[reported]", "[wanted]"))
+    assert there.offer().endpoints == (("wanted",),)
+
+
 def test_an_output_reaches_a_framework_and_goes_on_when_its_provider_dies(
     stage: Callable[[str], Stage],
 ) -> None:

@@ -488,7 +488,7 @@ def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: 
 
 def _line(status: OfferStatus) -> str:
     state = click.style(status.state.value, fg=_COLOURS.get(status.state))
-    where = ", ".join(" ".join(endpoint) for endpoint in status.endpoints)
+    where = ", ".join(map(" ".join, status.endpoints))
     return f"{status.name} {state} at {where}" + (f": {status.cause}" if status.cause else "")
 
 

@@ -187,15 +187,12 @@ def resolve(
             fail(error, REFUSED, function=error.function, rejected=error.rejections)
         offers = [item for item in robot.config.offers if item.function == plan.function]
     if as_json:
-        places = [
-            {"bridge": item.bridge, "endpoints": [endpoint.address for endpoint in item.endpoints]}
-            for item in offers
-        ]
+        places = [{"bridge": item.bridge, "endpoints": item.addresses} for item in offers]
         print_json({**to_json(plan), "offers": to_json(places)})
     elif explain:
         echo(plan)
         for item in offers:
-            where = ", ".join(" ".join(endpoint.address) for endpoint in item.endpoints)
+            where = ", ".join(map(" ".join, item.addresses))
             echo(f"offered in {item.bridge} at {where}")
     else:
         echo(" -> ".join(step.component.name for step in plan.steps))

@@ -88,6 +88,11 @@ class Offer:
         ports = (output.endpoint for output in (*self.outputs, *self.inputs))
         return (*ports, *(() if self.service is None else (self.service.endpoint,)))
 
+    @property
+    def addresses(self) -> tuple[tuple[str, ...], ...]:
+        """The addresses of its endpoints, each once: the parts of an action have one."""
+        return tuple(dict.fromkeys(endpoint.address for endpoint in self.endpoints))
+
 
 class OfferState(Enum):
     """Whether a function is there for a framework; one that failed is tried again.
@@ -108,7 +113,7 @@ class OfferStatus:
 
     Attributes:
         name: `BRIDGE:FUNCTION`.
-        endpoints: the addresses where it is found, in the order of the configuration.
+        endpoints: the addresses where it is found, each once, in the order of the configuration.
         connections: ids of the connections behind it; services have none.
         calls: of a service, calls that were answered.
         failed: of a service, calls that were not.

@@ -231,7 +231,7 @@ class Offers:
             function=offer.function,
             bridge=offer.bridge,
             state=state if record is None else record.state,
-            endpoints=tuple(endpoint.address for endpoint in offer.endpoints),
+            endpoints=offer.addresses,
             connections=() if opened is None else opened.connections,
             calls=0 if opened is None else opened.calls,
             failed=0 if opened is None else opened.failed,
