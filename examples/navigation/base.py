@@ -38,6 +38,7 @@ class Base:
 
     def __init__(self) -> None:
         self.node = Node("base")
+        self._ended = threading.Event()
         group = ReentrantCallbackGroup()  # a goal is cancelled while it is driven
         self._x = self._y = 0.0
         self._odometry = self.node.create_publisher(Odometry, "/odom", 10)
@@ -57,28 +58,36 @@ class Base:
     def _drive(self, handle: Any) -> Any:
         """Drive to the pose of a goal, until it is there or the goal is cancelled."""
         result, recoveries = NavigateToPose.Result(), 0
-        path = self._path(handle.request.pose)
-        while path is None and recoveries < _ATTEMPTS:
+        path = self._path(handle)
+        while path is None and recoveries < _ATTEMPTS and not self._is_over(handle):
             recoveries += 1
-            path = self._path(handle.request.pose)
-        if path is None:
-            result.error_code, result.error_msg = _NO_PLAN, "there is no planner"
-            handle.abort()
-            return result
-        for number, (x, y) in enumerate(path):
-            if self._goes_to(handle, x, y, path[number:], recoveries):
-                continue
+            path = self._path(handle)
+        if path is not None and all(
+            self._goes_to(handle, x, y, path[number:], recoveries)
+            for number, (x, y) in enumerate(path)
+        ):
+            handle.succeed()
+        elif handle.is_cancel_requested:
             handle.canceled()
-            return result
-        handle.succeed()
+        else:
+            if path is None:
+                result.error_code, result.error_msg = _NO_PLAN, "there is no planner"
+            handle.abort()
         return result
+
+    def end(self) -> None:
+        """Abort the goal that is driven, and stand."""
+        self._ended.set()
+
+    def _is_over(self, handle: Any) -> bool:
+        return self._ended.is_set() or handle.is_cancel_requested
 
     def _goes_to(
         self, handle: Any, x: float, y: float, path: list[tuple[float, float]], recoveries: int
     ) -> bool:
-        """Drive to a point; returns whether the goal was not cancelled meanwhile."""
+        """Drive to a point; returns whether nothing ended the goal meanwhile."""
         while (left := math.hypot(x - self._x, y - self._y)) > 0:
-            if handle.is_cancel_requested:
+            if self._is_over(handle):
                 return False
             feedback = NavigateToPose.Feedback()
             feedback.current_pose = self._pose()
@@ -94,14 +103,16 @@ class Base:
             time.sleep(_STEP_SECONDS)
         return True
 
-    def _path(self, goal: PoseStamped) -> list[tuple[float, float]] | None:
+    def _path(self, handle: Any) -> list[tuple[float, float]] | None:
         """Return the points of a path; None where no planner answers in time."""
-        answered = threading.Event()
-        future = self._planner.call_async(GetPlan.Request(start=self._pose(), goal=goal))
+        answered, until = threading.Event(), time.monotonic() + _PLAN_SECONDS
+        request = GetPlan.Request(start=self._pose(), goal=handle.request.pose)
+        future = self._planner.call_async(request)
         future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(_PLAN_SECONDS):
-            self._planner.remove_pending_request(future)
-            return None
+        while not answered.wait(_STEP_SECONDS):
+            if self._is_over(handle) or time.monotonic() >= until:
+                self._planner.remove_pending_request(future)
+                return None
         positions = [pose.pose.position for pose in future.result().plan.poses]
         return [(position.x, position.y) for position in positions]
 
@@ -149,11 +160,14 @@ def main() -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     executor = MultiThreadedExecutor(num_threads=4)
-    executor.add_node(Base().node)
+    base = Base()
+    executor.add_node(base.node)
     with suppress(KeyboardInterrupt):
         print("driving on /navigate_to_pose", flush=True)
         while True:
             executor.spin_once(timeout_sec=0.2)
+    base.end()  # or this process would go on until the goal is reached
+    executor.shutdown(timeout_sec=_PLAN_SECONDS)
     rclpy.shutdown()
 
 

@@ -133,6 +133,10 @@ def test_another_planner_takes_over_and_a_goal_is_cancelled(start: Start) -> Non
     driver = start("drive_to.py")  # each `where` waits for another scan
     assert line(driver) == "where to?"
     wait(lambda: len({where(), where(), where()}) == 1, "the base stands")
+    ask(driver, "10000 0")
+    assert line(driver) == "accepted"
+    base.terminate()
+    assert base.wait(patience()) == 0
 
 
 def test_a_vehicle_of_another_standard_takes_over_and_the_base_after_it(
