@@ -70,6 +70,7 @@ class Tier:
 
 
 SHORT, LONG = "not needs and not long", "not needs"
+PROGRAMS, LONG_PROGRAMS = "needs and not long", "needs and long"
 TIERS = (
     Tier("core", "nothing but .[dev]", ("tests", "-m", SHORT)),
     *(
@@ -81,7 +82,7 @@ TIERS = (
         )
         for name in PLUGINS
     ),
-    Tier("programs", "browser, Node.js, vision, the examples", ("tests", "-m", "needs")),
+    Tier("programs", "browser, Node.js, vision, the examples", ("tests", "-m", PROGRAMS)),
     Tier("long-core", "the core, its properties at length", ("tests", "-m", LONG), is_long=True),
     Tier(
         "late-core",
@@ -90,6 +91,7 @@ TIERS = (
         is_long=True,
         is_late=True,
     ),
+    Tier("long-programs", "the programs at length", ("tests", "-m", LONG_PROGRAMS), is_long=True),
     *(
         Tier(
             f"long-{name}",

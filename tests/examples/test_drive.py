@@ -18,7 +18,7 @@ from uoarm.testing import patience, wait
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "drive"
 DOMAIN = str(64 + os.getpid() % 38)
-pytestmark = [pytest.mark.needs("chromium", "ros2"), pytest.mark.long]
+pytestmark = pytest.mark.needs("chromium", "ros2")
 
 
 class Drive:

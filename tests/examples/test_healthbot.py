@@ -88,7 +88,6 @@ def ports(component: Component) -> list[tuple[str, ...]]:
     return [(component.bridge, *endpoint.address[:2]) for endpoint in ends]
 
 
-@pytest.mark.long
 def test_a_line_of_needs_for_each_function_chooses_what_the_written_file_chooses(
     scene: Scene,
 ) -> None:
