@@ -28,8 +28,11 @@ _KEPT = {
     "UOARM_CACHE",
     "UOARM_FOXGLOVE",
     "UOARM_MCP_CONFORMANCE",
+    "UOARM_ROSBRIDGE_SUITE",
+    "UOARM_ROSBRIDGE_SUITE_ROS1",
     "UOARM_ROSLIB",
     "USER",
+    "VDA5050_SCHEMAS",
     "VIRTUAL_ENV",
     # Each Python that lacks it starts itself again, where wheels of ROS 2 are installed.
     "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
@@ -74,7 +77,7 @@ def isolate() -> None:
     sys.dont_write_bytecode = False
     before = dict(os.environ)
     home = Path.home()
-    kept = {name: value for name, value in before.items() if _is_kept(name)}
+    kept = {name: value for name, value in before.items() if is_kept(name)}
     for name, place in _FROM_HOME.items():
         if (home / place).exists():
             kept.setdefault(name, str(home / place))
@@ -88,7 +91,8 @@ def isolate() -> None:
     tempfile.tempdir = None  # ask anew
 
 
-def _is_kept(name: str) -> bool:
+def is_kept(name: str) -> bool:
+    """Say whether a variable of the shell reaches the tests."""
     upper = name.upper()
     return upper in _KEPT or upper.startswith(_KEPT_GROUPS)
 

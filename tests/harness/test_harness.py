@@ -12,7 +12,7 @@ from unittest.mock import Mock
 
 import pytest
 import xdist.plugin
-from tests.harness import ORDER, SPARE_WORKERS, Scheduler
+from tests.harness import ORDER, SPARE_WORKERS, Scheduler, _places
 from tests.harness._delays import DELAYS
 from tests.harness._leaks import maker, variables_of
 from tests.harness._needs import MODULES, NEEDS
@@ -364,6 +364,16 @@ for name in sys.argv[1].split(","):
 import pytest
 sys.exit(pytest.main(sys.argv[2:]))
 """
+
+
+VARIABLE = re.compile(r'environ(?:\.get\(|\[)"((?:UOARM|VDA5050)_[A-Z0-9_]+)"')
+
+
+def test_what_tests_are_given_by_the_environment_reaches_them() -> None:
+    files = [*ROOT.glob("tests/**/*.py"), *ROOT.glob("plugins/*/tests/**/*.py")]
+    read = {name for file in files for name in VARIABLE.findall(file.read_text("utf-8"))}
+    assert "UOARM_ROSBRIDGE_SUITE" in read
+    assert not [name for name in sorted(read) if not _places.is_kept(name)]
 
 
 def test_limits_of_what_is_imported_by_a_test_are_lengthened_too(run: Run) -> None:

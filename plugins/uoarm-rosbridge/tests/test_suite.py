@@ -1,6 +1,7 @@
 """The client's bridge before a real rosbridge_suite of ROS 2 with rosapi, where one runs.
 
-UOARM_ROSBRIDGE_SUITE is its address; it must be in this ROS_DOMAIN_ID, on the same machine.
+UOARM_ROSBRIDGE_SUITE is its address, and its ROS_DOMAIN_ID, with a space between; it must be on the
+same machine, without limits of discovery.
 """
 
 from __future__ import annotations
@@ -23,17 +24,19 @@ from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Message, Role
 from uoarm.testing import Background, Collector, patience
 
-ADDRESS = os.environ.get("UOARM_ROSBRIDGE_SUITE", "")
+ADDRESS, _, DOMAIN = os.environ.get("UOARM_ROSBRIDGE_SUITE", "").partition(" ")
 pytestmark = pytest.mark.skipif(
-    not ADDRESS or find_spec("rclpy") is None,
-    reason="no rosbridge_suite: UOARM_ROSBRIDGE_SUITE=ws://HOST:PORT, and rclpy, are needed",
+    not DOMAIN or find_spec("rclpy") is None,
+    reason="no rosbridge_suite: UOARM_ROSBRIDGE_SUITE='ws://HOST:PORT DOMAIN', and rclpy, are "
+    "needed",
 )
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _node() -> Iterator[None]:
     script = str(Path(__file__).parent / "node_of_ros2.py")
-    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE) as process:
+    words, environment = [sys.executable, script], {**os.environ, "ROS_DOMAIN_ID": DOMAIN}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
         yield
