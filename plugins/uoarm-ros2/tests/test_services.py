@@ -347,7 +347,7 @@ def test_a_goal_that_is_cancelled_before_it_is_sent_is_never_sent() -> None:
         with pytest.raises(BridgeError, match="cancelled before it was sent") as caught:
             action.call({"order": 3}, patience(), patience(), cancelling)
         assert caught.value.reason is FailureReason.REFUSED
-        action.send({"order": 4})  # the first that comes
+        action.send({"order": 4}, object())  # the first that comes
         wait(lambda: asked != [])
         assert [goal_request.goal.order for goal_request in asked] == [4]
     finally:

@@ -141,7 +141,7 @@ class Action:
             raise BridgeError(f"{what} ended {status}: {result!r:.200}", FailureReason.REFUSED)
         return self._read_result(reply.result)
 
-    def send(self, message: Message, sender: object = None) -> None:
+    def send(self, message: Message, sender: object) -> None:
         """Send a goal without waiting for anything; `abandon` of its sender cancels it.
 
         Raises:
