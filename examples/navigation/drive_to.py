@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
+import select
 import signal
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -87,6 +90,21 @@ class Driver:
         print(message["status"], flush=True)
 
 
+def typed_lines() -> Iterator[str]:
+    """Yield what is typed, until the input ends.
+
+    Looks for a signal each second: Python does not end a read that begins just as one comes.
+    """
+    begun = b""
+    while True:
+        if select.select([sys.stdin], [], [], 1)[0]:
+            octets = os.read(sys.stdin.fileno(), 4096)
+            *lines, begun = (begun + (octets or b"\n")).split(b"\n")
+            yield from (line.decode(errors="replace").strip() for line in lines)
+            if not octets:
+                return
+
+
 def main() -> None:
     """Read goals until the input ends, or until interrupted."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -94,9 +112,9 @@ def main() -> None:
         robot.offer()
         driver = Driver(robot)
         print("where to?", flush=True)
-        for line in sys.stdin:
+        for line in typed_lines():
             try:
-                driver.take(line.strip())
+                driver.take(line)
             except (UoarmError, TimeoutError) as error:
                 print(error, flush=True)
 

@@ -1,5 +1,7 @@
 """Ctrl-C or SIGTERM while something is half done: raised when that is whole, or at a second one.
 
+And while the main thread waits: a signal is noticed within a second (`wait_step`).
+
 Python raises KeyboardInterrupt in the main thread, after any call, and so does SIGTERM whatever its
 handler raises, SystemExit most often. Where that thread owns what others share, half of a change
 would be lost, and it could not be known which half.
@@ -10,9 +12,11 @@ from __future__ import annotations
 import _signal  # type: ignore[import-not-found]  # what `signal` wraps, at fifteen times the cost
 import signal
 import threading
+import time
 from types import FrameType
 from typing import Any
 
+_STEP_SECONDS = 1.0
 _NUMBERS = int(signal.SIGINT), int(signal.SIGTERM)
 _NOTHING: tuple[int, FrameType | None] = 0, None
 
@@ -84,3 +88,24 @@ class Uninterrupted:
         for number, handler in handlers.items():
             if _signal.getsignal(number) == self._note:
                 _signal.signal(number, handler)
+
+
+def wait_step(left: float | None = None) -> float | None:
+    """Return how long this thread may wait before it looks again, of the seconds that are left.
+
+    Python runs the handler of a signal between two instructions of the main thread. A wait that
+    begins after the signal came, and before Python has looked, is not ended by it, and neither is
+    one while the kernel gives the signal to another thread. So the main thread waits in steps.
+    """
+    if threading.get_ident() != threading.main_thread().ident:
+        return left
+    return _STEP_SECONDS if left is None else min(left, _STEP_SECONDS)
+
+
+def wait_for(event: threading.Event, timeout: float | None = None) -> bool:
+    """Wait for an event in such steps; False where `timeout` seconds were too few."""
+    end = None if timeout is None else time.monotonic() + timeout
+    while not event.wait(wait_step(None if end is None else end - time.monotonic())):
+        if end is not None and time.monotonic() >= end:
+            return False
+    return True

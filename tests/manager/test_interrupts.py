@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from queue import SimpleQueue
 from types import FrameType, SimpleNamespace
 from typing import Any, NoReturn
@@ -18,7 +19,7 @@ import pytest
 from tests.manager.stage import FACE
 
 from uoarm import BridgeError, BridgeTimeoutError, RobotManager, _interrupts
-from uoarm._interrupts import Uninterrupted
+from uoarm._interrupts import Uninterrupted, wait_step
 from uoarm._support import deadlines
 from uoarm.bridge import HealthEvent, Source
 from uoarm.config import loads
@@ -384,6 +385,76 @@ def test_one_that_comes_as_a_block_begins_or_ends_is_raised_and_so_are_all_later
     with pytest.raises((KeyboardInterrupt, SystemExit)):
         put_off()
     assert passed
+
+
+class Unseen:
+    """Has a signal come to this process that ends no wait of the main thread.
+
+    As one does that comes as a wait begins, after Python has looked: here another thread gets it.
+    """
+
+    def __init__(self, number: signal.Signals) -> None:
+        self._number = number
+        self._has_begun, self._is_over = threading.Event(), threading.Event()
+        self._waiter = threading.get_ident()
+        self.was_noticed = False
+
+    def during(self, wait_there: Callable[[], object]) -> None:
+        """Wait in the main thread, which the signal interrupts once it waits."""
+        thread = threading.Thread(target=self._send)
+        thread.start()  # which waits, too
+        try:
+            self._has_begun.set()
+            wait_there()
+        except (KeyboardInterrupt, SystemExit):
+            pass
+        finally:
+            self._is_over.set()
+            thread.join()
+
+    def _send(self) -> None:
+        wait(lambda: self._has_begun.is_set() and self._is_waiting())
+        signal.pthread_kill(threading.get_ident(), self._number)
+        self.was_noticed = self._is_over.wait(patience())
+        if not self.was_noticed:
+            signal.pthread_kill(self._waiter, self._number)
+
+    def _is_waiting(self) -> bool:
+        frame = sys._current_frames()[self._waiter]
+        return frame.f_code is threading.Condition.wait.__code__
+
+
+def test_a_signal_that_does_not_end_a_wait_is_noticed_all_the_same(
+    robot: RobotManager, number: signal.Signals, tmp_path: Path
+) -> None:
+    connection = robot.request("face")
+    with robot.record("face", path=tmp_path / "kept.mcap") as recording:
+        for wait_there in (
+            connection.get,
+            partial(connection.get, 10 * patience()),
+            recording.wait,
+            partial(recording.wait, 10 * patience()),
+        ):
+            unseen = Unseen(number)
+            unseen.during(wait_there)
+            assert unseen.was_noticed, wait_there
+        assert not recording.wait(0)
+    assert recording.wait()
+
+
+def test_a_thread_waits_in_one_piece_and_the_main_thread_in_steps() -> None:
+    assert wait_step(0.5) == 0.5
+    assert wait_step() == wait_step(60) == 1
+    found: SimpleQueue[float | None] = SimpleQueue()
+
+    def ask() -> None:
+        found.put(wait_step())
+        found.put(wait_step(60))
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    assert (found.get(), found.get()) == (None, 60)
 
 
 def test_other_threads_leave_the_handler_alone() -> None:

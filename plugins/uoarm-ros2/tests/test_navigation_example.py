@@ -96,6 +96,47 @@ def until_the_end(process: subprocess.Popen[str]) -> list[str]:
     return lines
 
 
+_UNSEEN = """
+import signal, sys, threading
+sys.path.insert(0, sys.argv[1])
+from drive_to import typed_lines
+
+main = threading.get_ident()
+
+def send():
+    while sys._current_frames()[main].f_code is not typed_lines.__code__:
+        pass
+    print("sent", flush=True)
+    signal.pthread_kill(threading.get_ident(), signal.SIGTERM)  # ends no wait of the main thread
+
+signal.signal(signal.SIGTERM, signal.default_int_handler)
+lines = typed_lines()
+print(next(lines), next(lines), flush=True)
+threading.Thread(target=send).start()
+try:
+    next(lines)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+"""
+
+
+def test_a_signal_that_ends_no_read_is_noticed(example: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", _UNSEEN, str(example)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            ask(process, " 3 4 \nwhere")
+            assert line(process) == "3 4 where"
+            assert line(process) == "sent"
+            assert process.wait(patience()) == 0
+            assert line(process) == "interrupted"
+        finally:
+            process.kill()
+
+
 def test_another_planner_takes_over_and_a_goal_is_cancelled(start: Start) -> None:
     grid, straight = start("planner.py", "grid"), start("planner.py", "straight")
     base = start("base.py")

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from queue import Empty
 from typing import Any, Generic, TypeVar
 
+from uoarm._interrupts import wait_step
 from uoarm._raised import LimitedLog, contained, text_of
 from uoarm.errors import UsageError
 from uoarm.model import Deliver, Message, OverflowPolicy, QueuePolicy, message_octets
@@ -187,7 +188,7 @@ class BoundedQueue(Generic[T]):
                 left = None if deadline is None else deadline - time.monotonic()
                 if left is not None and left <= 0:
                     return False
-                self._changed.wait(left)
+                self._changed.wait(wait_step(left))
             return True
         finally:
             self._waiting -= 1

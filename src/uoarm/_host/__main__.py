@@ -13,7 +13,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from uoarm._forks import default_in_children
@@ -23,6 +23,7 @@ from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply, Transport
+from uoarm._interrupts import wait_step
 from uoarm._log_lines import HostFormatter
 from uoarm._support.process_tuning import set_short_switch_interval
 from uoarm.bridge import Bridge, Registry
@@ -56,7 +57,13 @@ class _MainThread:
         self._calls.put(None)
 
     def wait(self) -> None:
-        while (call := self._calls.get()) is not None:
+        while True:
+            try:
+                call = self._calls.get(timeout=wait_step())
+            except Empty:
+                continue
+            if call is None:
+                return
             call()
 
 

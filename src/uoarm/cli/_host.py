@@ -11,6 +11,7 @@ from collections.abc import Callable
 import click
 
 from uoarm._forks import default_in_children
+from uoarm._interrupts import wait_for
 from uoarm.bridge import Registry
 from uoarm.cli._output import at_least, echo
 from uoarm.cli._shared import Seconds, needing, reporting, takes_configuration
@@ -138,7 +139,7 @@ def _answer(bridge: str, port: int, file: str) -> None:
         )
         echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
         try:
-            threading.Event().wait()
+            wait_for(threading.Event())
         finally:
             face.close()
     finally:

@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
+from uoarm._interrupts import wait_for
 from uoarm.cli._output import echo, leaving_out, output, saying_what_is_waited_for
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
@@ -483,7 +484,7 @@ def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: 
 
     robot.listen(print_event)
     if not _is_over(robot.status().offers):  # before the listener was there
-        over.wait()
+        wait_for(over)
 
 
 def _line(status: OfferStatus) -> str:

@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 
 from typing_extensions import Self
 
+from uoarm._interrupts import wait_for
 from uoarm._raised import LimitedLog, text_of
 from uoarm.errors import MessageError, UoarmError, UsageError
 from uoarm.model import Gap, Message, StatusEvent
@@ -173,7 +174,7 @@ class Recording:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until it has ended by itself; False when `timeout` seconds were too few."""
-        return self._finished.wait(timeout)
+        return wait_for(self._finished, timeout)
 
     def dump(self, cause: str = "it was asked for", *, timeout: float = 60.0) -> str:
         """Write what the ring holds into a file, and return its path.
@@ -203,7 +204,7 @@ class Recording:
         self._kill()
         self._arrivals.close()
         if threading.current_thread() is not self._thread:
-            self._finished.wait(_CLOSE_SECONDS)
+            wait_for(self._finished, _CLOSE_SECONDS)
 
     def __enter__(self) -> Self:
         return self

@@ -20,6 +20,7 @@ from uoarm.plugins import Command, CommandParser, hookimpl
 
 __all__ = ["main", "uoarm_commands"]
 
+_STEP_SECONDS = 1.0
 _ACTIONS = ("activate", "deactivate", "reset")
 
 
@@ -183,7 +184,8 @@ def _nameserver(port: int, address: str, folder: Path | None) -> int:
         sys.stdout.write(f"naming service {server.address}\n")
         sys.stdout.flush()
         threading.Thread(target=_see_end, args=(server.process, is_over), daemon=True).start()
-        is_over.wait()
+        while not is_over.wait(_STEP_SECONDS):  # a signal may have come as the wait began
+            pass
         return 0 if was_asked.is_set() else server.process.wait()
 
 
