@@ -119,9 +119,10 @@ class Peer:
 
     def _publish(self, topic: str, payload: bytes | str, retain: bool, more: dict[str, Any]) -> Any:
         properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+        qos = more.pop("qos", 1)
         for name, value in more.items():
             setattr(properties, name, value)
-        return self._client.publish(topic, payload, 1, retain, properties)
+        return self._client.publish(topic, payload, qos, retain, properties)
 
     def subscribe(self, topic: str, handler: Callable[[Any], object]) -> None:
         self._handlers[topic] = handler

@@ -25,7 +25,7 @@ from uoarm.errors import (
     MessageError,
 )
 from uoarm.model import BridgeSpec, Endpoint, Health, MessageStructure, Role
-from uoarm.testing import Collector, patience, wait
+from uoarm.testing import Collector, Proxy, patience, wait
 
 ANYTHING = MessageStructure(True)
 
@@ -42,6 +42,14 @@ def bridge_to(broker: Broker, **options: Any) -> Iterator[Bridge]:
         yield made
     finally:
         made.close(timeout=patience())
+
+
+@contextmanager
+def cut_off(broker: Broker) -> Iterator[tuple[Proxy, Bridge]]:
+    """A bridge, and what its connection to a broker can be cut with; its session stays there."""
+    with Proxy(broker.port, broker.host) as proxy:
+        with bridge_to(broker, url=f"mqtt://127.0.0.1:{proxy.port}", grace=patience()) as bridge:
+            yield proxy, bridge
 
 
 @pytest.fixture
@@ -406,6 +414,45 @@ class TestBroker:
             assert collector.wait(2, patience()) == [0, 1]
             assert source.facts()["interruptions"] == 1
             assert [event.health for event in events] == [Health.DEGRADED, Health.OK]
+
+    def test_what_is_retained_with_qos_0_in_a_break_is_not_missed(
+        self, broker: Broker, peer: Peer
+    ) -> None:
+        kept, there = "break/state", {"topic": "break/there"}
+        peer.publish(kept, "1", retain=True)
+        peer.publish("break/same", "1", retain=True)
+        peer.publish("break/there", "online", retain=True)
+        with cut_off(broker) as (proxy, bridge):
+            events = health_events(bridge)
+            collector, _ = listen(bridge, kept, retain=True, presence=there)
+            same, _ = listen(bridge, "break/same", retain=True)
+            assert collector.wait(1, patience()) == same.wait(1, patience()) == [1]
+            proxy.cut(admit=False)
+            until(events, Health.DEGRADED)
+            peer.publish(kept, "2", qos=0, retain=True)
+            peer.publish("break/there", "gone", qos=0, retain=True)
+            peer.publish("break/meanwhile", "")  # once this is answered the broker has both
+            proxy.admit()
+            assert collector.wait(2, patience()) == [1, 2]
+            assert until(events, Health.LOST).component == f"component of {kept}"
+            peer.publish("break/same", "2")
+            assert same.wait(2, patience()) == [1, 2], "what stands came twice"
+
+    def test_a_shared_subscription_closed_in_a_break_takes_nothing_more(
+        self, broker: Broker, peer: Peer
+    ) -> None:
+        with cut_off(broker) as (proxy, bridge), bridge_to(broker) as other:
+            events = health_events(bridge)
+            _, leaving = listen(bridge, "break/work", share="break")
+            staying, _ = listen(other, "break/work", share="break")
+            proxy.cut(admit=False)
+            until(events, Health.DEGRADED)
+            leaving.close(timeout=patience())
+            proxy.admit()
+            until(events, Health.OK)
+            for number in range(6):
+                peer.publish("break/work", str(number))
+            assert staying.wait(6, patience()) == [*range(6)]
 
     def test_away_for_longer_than_its_grace_it_is_lost_once(self, tmp_path: Path) -> None:
         with running(tmp_path / "broker") as broker, bridge_to(broker, grace=0.5) as bridge:

@@ -115,8 +115,8 @@ class Proxy:
     does, and what was held at a cut is lost.
     """
 
-    def __init__(self, port: int) -> None:
-        self._target = port
+    def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+        self._target = host, port
         self._loop = asyncio.new_event_loop()
         self._pairs: set[tuple[_End, _End]] = set()
         self._admits = True
@@ -173,7 +173,7 @@ class Proxy:
             client.reset()
             return
         _, backend = await self._loop.create_connection(
-            lambda: _End(None), "127.0.0.1", self._target
+            lambda: _End(None), *self._target
         )
         self._pairs.add((client, backend))
         client.join(backend)

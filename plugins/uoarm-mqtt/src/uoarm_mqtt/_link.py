@@ -220,9 +220,7 @@ class BrokerConnection:
             is_last = self._subscriptions.remove(receiver)
         if is_last:
             with suppress(BridgeError), self._calling():  # a closed link unsubscribes from all
-                _, mid = self._client.unsubscribe(receiver.topic)
-                if mid is not None:
-                    self._note(("u", mid), _Pending(_ignore, survives=False))
+                self._leave(receiver.topic, receiver.id)
 
     def barrier(self, seconds: float = _STEP_SECONDS) -> None:
         """Return when the broker has worked through all that was sent before.
@@ -351,9 +349,20 @@ class BrokerConnection:
         info = self._client.publish(topic, payload, 1, retain=True)
         self._note(("p", info.mid), _Pending(_ignore, survives=True))
 
-    def _subscribe(self, receiver: Receiver, qos: int, *, again: bool = False) -> Any:
-        # Once a session has outlived a break, what is retained is sent for new subscriptions only.
-        wanted = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if not again else 1
+    def _leave(self, topic: str, id_: int) -> None:
+        _, mid = self._client.unsubscribe(topic)
+        if mid is None:
+            return  # not connected: it is left once it is
+
+        def done(outcome: PacketOutcome) -> None:
+            if outcome.is_answer:
+                with self._changed:
+                    self._subscriptions.left(topic, id_)
+
+        self._note(("u", mid), _Pending(done, survives=False))
+
+    def _subscribe(self, receiver: Receiver, qos: int) -> Any:
+        wanted = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE
         handling = wanted if receiver.retained else SubscribeOptions.RETAIN_DO_NOT_SEND
         options = SubscribeOptions(qos=qos, retainHandling=handling)
         return self._client.subscribe(
@@ -429,9 +438,12 @@ class BrokerConnection:
         self._largest = getattr(more, "MaximumPacketSize", None)
         self._client.keep_within(getattr(more, "ReceiveMaximum", _IN_FLIGHT))
         with self._changed:
+            leaving = self._subscriptions.resume(is_same=flags.session_present)
             receivers = [
                 (receiver, self._subscriptions.add(receiver)) for receiver in self._subscriptions
             ]
+        for left_topic, id_ in leaving:
+            self._leave(left_topic, id_)
         if (said := self.options.announcement) is not None:
             self._announce(said.topic, said.online())
         left = len(receivers)
@@ -455,7 +467,7 @@ class BrokerConnection:
                 ready()
 
         for receiver, qos in receivers:
-            _, mid = self._subscribe(receiver, qos, again=flags.session_present)
+            _, mid = self._subscribe(receiver, qos)
             if mid is not None:
                 pending = _Pending(partial(resumed, receiver), survives=False)
                 self._note(("s", mid), pending)

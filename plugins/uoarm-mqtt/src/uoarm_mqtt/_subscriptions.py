@@ -10,6 +10,7 @@ from paho.mqtt.client import topic_matches_sub
 
 _FIRST_ID = 1
 _KEPT_IDS = 16  # of one filter: messages on their way carry the last, or one shortly before it
+_KNOWN_TOPICS = 10_000  # of one receiver, whose last payload is known again
 
 
 @frozen
@@ -47,6 +48,16 @@ class Receiver:
     retained: bool = False
     refused: Callable[[str], None] = lambda _: None
     id: int = field(default=0, init=False)
+    _last: dict[str, int] = field(factory=dict, init=False)  # hash of each topic's last payload
+
+    def is_new(self, message: ReceivedMessage) -> bool:
+        """Note what stands on a topic; False where it is said once more, as after a break."""
+        mark = hash(message.payload)
+        before = self._last.pop(message.topic, None)
+        self._last[message.topic] = mark
+        if len(self._last) > _KNOWN_TOPICS:
+            del self._last[next(iter(self._last))]
+        return not message.retain or mark != before
 
 
 class Subscriptions:
@@ -57,12 +68,18 @@ class Subscriptions:
     one. What was published is then for every receiver of that filter, and what was retained, which
     the broker sends for each subscribing, for the receiver that has just subscribed. Where
     filters overlap, each receiver gets a message once, whether the broker sends one copy or more.
+
+    After a break all are subscribed to again, also in a session that outlived it: what was
+    published with QoS 0 meanwhile is in no session, but stands where it was retained.
     """
 
     def __init__(self) -> None:
         self._ids = itertools.count(_FIRST_ID)
         self._receivers: dict[str, list[Receiver]] = {}
         self._filters: dict[int, str] = {}
+        # Filters from which the broker has not yet confirmed that it unsubscribed, and the
+        # identifier under which it was asked: a session that outlives a break still has them.
+        self._leaving: dict[str, int] = {}
 
     def __iter__(self) -> Iterator[Receiver]:
         return iter([receiver for several in self._receivers.values() for receiver in several])
@@ -74,6 +91,7 @@ class Subscriptions:
         ids = [known for known, topic in self._filters.items() if topic == receiver.topic]
         for old in ids[:-_KEPT_IDS]:
             del self._filters[old]
+        self._leaving.pop(receiver.topic, None)
         receivers = self._receivers.setdefault(receiver.topic, [])
         if receiver not in receivers:
             receivers.append(receiver)
@@ -89,7 +107,23 @@ class Subscriptions:
             return False
         del self._receivers[receiver.topic]
         self._filters = {k: v for k, v in self._filters.items() if v != receiver.topic}
+        self._leaving[receiver.topic] = receiver.id
         return True
+
+    def left(self, topic: str, id_: int) -> None:
+        """Take the broker's word that it unsubscribed from a filter, as it was asked with an id."""
+        if self._leaving.get(topic) == id_:
+            del self._leaving[topic]
+
+    def resume(self, *, is_same: bool) -> list[tuple[str, int]]:
+        """Return the filters to be left again, with their identifiers, once it is connected.
+
+        Args:
+            is_same: whether the session is the one before, with all that it had.
+        """
+        if not is_same:
+            self._leaving.clear()
+        return list(self._leaving.items())
 
     def route(self, message: ReceivedMessage) -> list[Receiver]:
         """Return the receivers of a message."""
@@ -100,12 +134,12 @@ class Subscriptions:
             topics = {topic for topic in self._receivers if _matches(topic, message.topic)}
         found = [receiver for topic in topics for receiver in self._receivers.get(topic, ())]
         if message.retain:
-            return [
+            found = [
                 receiver
                 for receiver in found
                 if receiver.retained and (receiver.id in ids or not ids)
             ]
-        return found
+        return [receiver for receiver in found if not receiver.retained or receiver.is_new(message)]
 
 
 def _matches(topic: str, name: str) -> bool:
