@@ -47,9 +47,11 @@ def bridge_to(broker: Broker, **options: Any) -> Iterator[Bridge]:
 @contextmanager
 def cut_off(broker: Broker) -> Iterator[tuple[Proxy, Bridge]]:
     """A bridge, and what its connection to a broker can be cut with; its session stays there."""
-    with Proxy(broker.port, broker.host) as proxy:
-        with bridge_to(broker, url=f"mqtt://127.0.0.1:{proxy.port}", grace=patience()) as bridge:
-            yield proxy, bridge
+    with (
+        Proxy(broker.port, broker.host) as proxy,
+        bridge_to(broker, url=f"mqtt://127.0.0.1:{proxy.port}", grace=patience()) as bridge,
+    ):
+        yield proxy, bridge
 
 
 @pytest.fixture
