@@ -172,9 +172,7 @@ class Proxy:
             self.refused += 1
             client.reset()
             return
-        _, backend = await self._loop.create_connection(
-            lambda: _End(None), *self._target
-        )
+        _, backend = await self._loop.create_connection(lambda: _End(None), *self._target)
         self._pairs.add((client, backend))
         client.join(backend)
         backend.join(client)
