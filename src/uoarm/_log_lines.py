@@ -11,7 +11,7 @@ import re
 import sys
 from datetime import datetime, timezone
 
-from uoarm._encodable import encodable
+from uoarm._encodable import encodable, printable
 
 HOST_LINE = 8192
 """The most octets of a line that a host writes and its manager reads in one piece."""
@@ -26,7 +26,6 @@ _SECRET = re.compile(
     r"[^\r\n]+|(?<=\buoarm\.token\.)[^\s,\"']+|(?<=://)[^\s/@]+(?=@)"
 )
 _HIDDEN = "***"
-_UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029]")
 
 
 def _text_of(record: logging.LogRecord) -> str:
@@ -45,8 +44,7 @@ class TextFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the lines of a record."""
-        text = _UNPRINTABLE.sub(lambda found: repr(found[0])[1:-1], _text_of(record))
-        indented = text.replace("\n", "\n  ")
+        indented = printable(_text_of(record)).replace("\n", "\n  ")
         return f"{_time_of(record)} {record.levelname} {record.name}: {indented}"
 
 

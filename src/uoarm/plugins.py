@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from attrs import field, frozen
 
+from uoarm._encodable import printable
 from uoarm._plugins import hookimpl, hookspec
 from uoarm.errors import CommandLineError
 
@@ -28,6 +29,7 @@ __all__ = [
     "DefinitionHooks",
     "Definitions",
     "hookimpl",
+    "printable",
 ]
 
 CONTRACT_VERSION = 1

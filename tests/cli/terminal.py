@@ -12,7 +12,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fcntl import ioctl
 from pathlib import Path
 
@@ -30,11 +30,13 @@ class Seen:
         code: its exit code.
         text: everything, without colours and moves of the cursor; what was drawn anew stands
             there as often as it was drawn.
+        raw: everything as it was written.
         last: what was drawn last in place, and all after it.
     """
 
     def __init__(self, code: int, raw: str) -> None:
         self.code = code
+        self.raw = raw
         self.text = _CONTROL.sub("", raw.replace(_ERASED, "\n"))
         self.last = _CONTROL.sub("", raw.rpartition(_ERASED)[2])
 
@@ -48,6 +50,7 @@ def on_a_terminal(
     interrupt_at: str = "",
     number: signal.Signals = signal.SIGINT,
     program: Sequence[str] = ("-m", "uoarm"),
+    environment: Mapping[str, str] | None = None,
 ) -> Seen:
     """Run `uoarm` with a pseudo terminal as its input, output and error until it ends.
 
@@ -59,12 +62,14 @@ def on_a_terminal(
         interrupt_at: a text at whose appearance the command gets a signal.
         number: that signal; Ctrl-C where none is named.
         program: what Python is given before the arguments.
+        environment: variables; TERM, if it is not named, is that of a terminal with colours.
     """
     ours, theirs = pty.openpty()
     ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", height, width, 0, 0))
     variables = {**os.environ, "TERM": "xterm-256color", "PYTHONUNBUFFERED": "1"}
     for name in ("NO_COLOR", "CI", "COLUMNS", "LINES"):
         variables.pop(name, None)
+    variables.update(environment or {})
     process = subprocess.Popen(
         [sys.executable, *program, *arguments],
         cwd=folder,

@@ -14,8 +14,11 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner, Result
+from hypothesis import given
+from hypothesis import strategies as st
 from tests.cli.commands import members
 
+from uoarm._encodable import printable
 from uoarm._log_lines import HostFormatter, JsonFormatter, TextFormatter, read_host_line
 from uoarm.cli import main
 from uoarm.model import read_json
@@ -211,3 +214,12 @@ def test_a_long_record_of_a_host_is_one_line_that_can_be_read() -> None:
     assert (level, text.startswith("uoarm.x: begins"), text.endswith("ends")) == (30, True, True)
     assert read_host_line("a line of a component") == (None, "a line of a component")
     assert read_host_line("WARNING uoarm: of another version") == (30, "uoarm: of another version")
+
+
+@given(st.text())
+def test_printable_text_controls_nothing_and_says_what_was_there(text: str) -> None:
+    shown = printable(text)
+    assert not re.search(r"[^\n\t\x20-\x7e\xa0-\u2027\u202f-\u2065\u206a-\U0010ffff]", shown)
+    assert printable(shown) == shown
+    if text.isprintable():
+        assert shown == text

@@ -1,4 +1,4 @@
-"""`uoarm request` on a real terminal: its messages are seen, and the last table is not empty."""
+"""Commands on a real terminal: messages, tables, colours, and text that would control it."""
 
 from __future__ import annotations
 
@@ -34,6 +34,9 @@ functions:
   long:
     components:
       - {name: long, bridge: python, output: {endpoint: ["on_terminal:long"]}}
+  hostile:
+    components:
+      - {name: hostile, bridge: python, output: {endpoint: ["on_terminal:hostile"]}}
 """
 COMPONENTS = """
 import threading
@@ -54,6 +57,8 @@ def flood() -> Iterator[Number]:
 def endless() -> Iterator[Number]:
     yield {"n": 77}
     threading.Event().wait()
+def hostile() -> Iterator[Number]:
+    raise RuntimeError("evil \\x1b[2J\\x1b]0;title\\x07 \\x9b31m \\u202e over\\rwritten")
 def long() -> Iterator[Text]:
     yield {"text": "[red]" + "x" * 100_000}
 """
@@ -137,3 +142,24 @@ def test_on_a_narrow_terminal_what_goes_on_stands_below(folder: Path) -> None:
     _, *rest = text.splitlines()[:3]
     assert all(line.startswith(" " * 9) for line in rest), text
     assert "there is no module 'nothing_of_this_name'" in " ".join(text.split())
+
+
+def test_text_of_a_component_does_not_control_the_terminal(folder: Path) -> None:
+    seen = on_a_terminal(["request", "hostile"], folder, width=300)
+    assert seen.code == 4, seen.text
+    text = r"evil \x1b[2J\x1b]0;title\x07 \x9b31m \u202e over\rwritten"
+    assert f"RuntimeError: {text}" in seen.raw
+
+
+def test_colours_are_for_terminals_that_have_them_and_who_wants_them(folder: Path) -> None:
+    status = on_a_terminal(["status", "--watch", "--every", "0.1"], folder, interrupt_at="\x1b[2J")
+    assert "\x1b[32m" in status.raw
+    for variable, value in (("NO_COLOR", "1"), ("TERM", "dumb")):
+        for command in (["status"], ["list"], ["resolve", "nothing"], ["request", "count"]):
+            seen = on_a_terminal(command, folder, environment={variable: value})
+            assert not re.search(r"\x1b\[[0-9;]*3[0-7]", seen.raw), seen.raw
+            assert "NO_COLOR" in variable or "\x1b" not in seen.raw, seen.raw
+    assert (
+        "\x1b[31m"
+        in on_a_terminal(["resolve", "nothing"], folder, environment={"NO_COLOR": ""}).raw
+    )

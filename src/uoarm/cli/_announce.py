@@ -12,10 +12,10 @@ import threading
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import click
 from typing_extensions import Self
 
 from uoarm._raised import sentence_of
+from uoarm.cli._output import echo
 from uoarm.cli._shared import needing, print_warning
 from uoarm.errors import ConfigurationError
 
@@ -92,7 +92,7 @@ class Announcement:
             with Zeroconf(interfaces=addresses) as network:  # its end withdraws what is announced
                 info = self._info(port, addresses)
                 network.register_service(info)
-                click.echo(f"announced on the network as {info.get_name()}", err=True)
+                echo(f"announced on the network as {info.get_name()}", err=True)
                 self._over.wait()
         except Exception as error:  # noqa: BLE001 - sockets and a library: the server does without
             print_warning(f"not announced: {sentence_of(error)}")

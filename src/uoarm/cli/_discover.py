@@ -14,7 +14,7 @@ from attrs import evolve
 from uoarm import RobotManager
 from uoarm._support.files import write_whole
 from uoarm.bridge import Registry
-from uoarm.cli._output import echo
+from uoarm.cli._output import echo, styled
 from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
@@ -105,7 +105,7 @@ def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
         findings = robot.discover(timeout=timeout)
         for found in findings:
             if found.cause and found.bridge in given.bridges:
-                click.echo(f"{found.bridge}: {found.cause}", err=True)
+                echo(f"{found.bridge}: {found.cause}", err=True)
         if not given.bridges:
             _say_unasked(registry, named)
         lines = suggestion_for(given, findings, configured=given.bridges)
@@ -125,7 +125,7 @@ def _say_unasked(registry: Registry, file: str) -> None:
     ]
     if lines:
         text = f"to have more looked at, write under `bridges` of {file}, with your own values:"
-        click.echo(f"{text}{''.join(lines)}", err=True)
+        echo(f"{text}{''.join(lines)}", err=True)
 
 
 def _octets(path: str | Path) -> bytes:
@@ -196,10 +196,10 @@ def _print_differences(
     old, new = dict.fromkeys(rows(before)), dict.fromkeys(rows(after))
     for row in old:
         if row not in new:
-            echo(click.style(fitted(f"- {row}"), fg="red"))
+            echo(styled(fitted(f"- {row}"), fg="red"))
     for row in new:
         if row not in old:
-            echo(click.style(fitted(f"+ {row}"), fg="green"))
+            echo(styled(fitted(f"+ {row}"), fg="green"))
 
 
 def rows(findings: Iterable[BridgeFindings]) -> Iterable[str]:

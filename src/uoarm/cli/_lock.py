@@ -216,14 +216,14 @@ def _against(before: Lock, other: Path, *, is_installed: bool = False) -> list[L
     schemas = read_schemas(other, before, is_installed=is_installed)
     missing = uncompared_types(before, schemas)
     if missing:
-        click.echo(f"not in {other}, and taken to be as they were: {', '.join(missing)}", err=True)
+        echo(f"not in {other}, and taken to be as they were: {', '.join(missing)}", err=True)
     return list(compare(before, schemas))
 
 
 def _compared(before: Lock, after: Lock) -> list[LockFinding]:
     """Compare two locks; standard error says which packages are others, which breaks nothing."""
     for line in differing_packages(before.bridges, after.bridges):
-        click.echo(line, err=True)
+        echo(line, err=True)
     return list(compare(before, after))
 
 
@@ -308,11 +308,11 @@ def _source(file: str, path: str | None) -> Lock:
     place = _beside(file) if path is None else Path(path)
     if path is not None or place.exists():
         lock = read_lock(place)
-        click.echo(f"types of {place}", err=True)
+        echo(f"types of {place}", err=True)
         return lock
     with open_unlocked(file) as robot:
         lock = lock_of(robot)
-    click.echo(f"types of what the bridges of {file} describe now: no {place}", err=True)
+    echo(f"types of what the bridges of {file} describe now: no {place}", err=True)
     return lock
 
 

@@ -21,7 +21,7 @@ import click
 from uoarm._raised import text_of
 from uoarm._support.process_tuning import short_switch_interval
 from uoarm._version import __version__
-from uoarm.cli._output import add_log_options, keep_apart, logging_to_stderr
+from uoarm.cli._output import add_log_options, echo, keep_apart, logging_to_stderr
 from uoarm.cli._shared import (
     INTERRUPTED,
     JSON,
@@ -109,7 +109,7 @@ class PluginGroup(click.Group):
             with _writing():
                 return super().invoke(ctx)
         except KeyboardInterrupt:  # which click would report as a failure, with the code of one
-            click.echo("interrupted", err=True)
+            echo("interrupted", err=True)
             sys.exit(INTERRUPTED)
         except click.UsageError as error:
             _fail_with_usage(error, as_json=bool(ctx.meta.get(JSON)))
@@ -180,7 +180,7 @@ def _fail_with_usage(error: click.UsageError, *, as_json: bool) -> NoReturn:
     if isinstance(error, _HELP):
         raise error
     if error.ctx is not None:
-        click.echo(error.ctx.get_usage(), err=True)
+        echo(error.ctx.get_usage(), err=True)
     failure = CommandLineError(error.format_message())
     print_failure(failure, failure.error_code, as_json=as_json)
     sys.exit(failure.exit_code)

@@ -10,6 +10,7 @@ import functools
 import io
 import logging
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -19,6 +20,7 @@ from typing import Any, TextIO, TypeVar, cast
 
 import click
 
+from uoarm._encodable import printable
 from uoarm._log_lines import JsonFormatter, StderrHandler, TextFormatter
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -30,6 +32,8 @@ _META = "uoarm.log"
 _EARLY = "uoarm.log.early"
 _OURS = "uoarm"
 _LEVELS = ("debug", "info", "warning", "error")
+_COLOUR = re.compile(r"(\x1b\[[0-9;]{1,4}m)")  # as `styled` writes them
+_CLEAR = "\x1b[2J\x1b[1;1H"
 _FORMS = {"text": TextFormatter, "json": JsonFormatter}
 
 
@@ -39,15 +43,37 @@ def output() -> TextIO:
 
 
 def echo(text: object = "", *, nl: bool = True, err: bool = False) -> None:
-    """Write text for who gave the command."""
-    click.echo(text, file=None if err else output(), nl=nl, err=err)
+    """Write text for who gave the command.
+
+    Of what controls a terminal only colours pass: text may be of components and other machines.
+    """
+    parts = _COLOUR.split(str(text))
+    parts[::2] = map(printable, parts[::2])
+    click.echo("".join(parts), file=None if err else output(), nl=nl, err=err)
+
+
+def styled(text: str, *, fg: str | None = None, bold: bool = False) -> str:
+    """Return text in a colour, where that is wanted: NO_COLOR is not set, nor a dumb terminal."""
+    is_plain = os.environ.get("NO_COLOR") or _is_dumb()
+    return text if is_plain else click.style(text, fg=fg, bold=bold or None)
+
+
+def clear() -> None:
+    """Clear the terminal, if there is one that can be cleared."""
+    if output().isatty() and not _is_dumb():
+        click.echo(_CLEAR, file=output(), nl=False)
+
+
+def _is_dumb() -> bool:
+    """Say whether the terminal takes lines of text and nothing else, as one in an editor."""
+    return os.environ.get("TERM") == "dumb"
 
 
 @contextmanager
 def saying_what_is_waited_for(what: str, timeout: float) -> Iterator[None]:
     """Say at a terminal what is waited for, after three seconds, and how long at most."""
     text = f"waiting for {what}, at most {timeout:g} s"
-    timer = threading.Timer(_SILENT_SECONDS, partial(click.echo, text, err=True))
+    timer = threading.Timer(_SILENT_SECONDS, partial(echo, text, err=True))
     timer.daemon = True
     if sys.stderr.isatty():
         timer.start()

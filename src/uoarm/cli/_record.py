@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 import click
 
 from uoarm._forks import default_in_children
-from uoarm.cli._output import echo
+from uoarm.cli._output import echo, styled
 from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
@@ -116,7 +116,7 @@ def _follow(recording: Recording, *, as_json: bool) -> None:
         elif is_terminal:
             click.echo(f"\r{_line(status, time.monotonic() - began)}", nl=False, err=True)
     if is_terminal and not as_json:
-        click.echo(err=True)
+        echo(err=True)
 
 
 @contextmanager
@@ -129,7 +129,7 @@ def _dumping(recording: Recording) -> Iterator[None]:
 
     def dump() -> None:
         try:
-            click.echo(f"written: {recording.dump('SIGUSR1')}", err=True)
+            echo(f"written: {recording.dump('SIGUSR1')}", err=True)
         except UoarmError as error:
             print_error(error)
 
@@ -186,7 +186,7 @@ def check_against(
     else:
         for result in results:
             if len(results) > 1:
-                echo(click.style(result.file, bold=True))
+                echo(styled(result.file, bold=True))
             echo("\n".join(_report(result)))
     passed = [result.is_passed and (result.is_complete or not is_strict) for result in results]
     sys.exit(0 if all(passed) else REFUSED)

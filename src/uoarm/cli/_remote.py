@@ -18,7 +18,7 @@ from attrs import field, fields_dict, frozen
 from uoarm import errors
 from uoarm._raised import text_of
 from uoarm._support.files import UnreadableFileError, read_text
-from uoarm.cli._output import echo
+from uoarm.cli._output import echo, styled
 from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting, takes_configuration
 from uoarm.model import write_json
 
@@ -255,7 +255,7 @@ def history(*, server: Remote, as_json: bool) -> None:
         return
     for revision in revisions:
         when = datetime.fromtimestamp(revision["time"], timezone.utc).isoformat(timespec="seconds")
-        echo(click.style(f"revision {revision['revision']}  {when}", bold=True))
+        echo(styled(f"revision {revision['revision']}  {when}", bold=True))
         for line in (*revision["differences"], *revision["connections"]):
             echo(f"  {line}")
 

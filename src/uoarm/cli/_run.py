@@ -19,7 +19,7 @@ from rich.text import Text
 
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
 from uoarm._interrupts import wait_for
-from uoarm.cli._output import echo, leaving_out, output, saying_what_is_waited_for
+from uoarm.cli._output import echo, leaving_out, output, saying_what_is_waited_for, styled
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
@@ -175,7 +175,7 @@ def _request_there(
         for warning in stream.warnings:
             print_warning(warning)
         if function is not None and not function["outputs"]:
-            click.echo(f"{name} runs, and has no output to show", err=True)
+            echo(f"{name} runs, and has no output to show", err=True)
         deadline = None if duration is None else time.monotonic() + duration
         while count is None or limit.messages < count:
             left = 1.0 if deadline is None else min(1.0, deadline - time.monotonic())
@@ -202,7 +202,7 @@ def _request_there(
 
     failure = asked(server, show)
     if is_live and limit.hidden:
-        click.echo(str(limit), err=True)
+        echo(str(limit), err=True)
     if failure:
         fail(failure, BRIDGE, "UOA-805")
 
@@ -325,7 +325,7 @@ def _said_of(route: RouteStatus) -> str:
 
 def _stay(connection: Connection, duration: float | None) -> None:
     """Wait until the time is up or the connection ends."""
-    click.echo(f"{connection.plan.function} runs, and has no output to show", err=True)
+    echo(f"{connection.plan.function} runs, and has no output to show", err=True)
     deadline = None if duration is None else time.monotonic() + duration
     while not connection.ended and (deadline is None or time.monotonic() < deadline):
         time.sleep(_GLANCE_SECONDS)
@@ -488,7 +488,7 @@ def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: 
 
 
 def _line(status: OfferStatus) -> str:
-    state = click.style(status.state.value, fg=_COLOURS.get(status.state))
+    state = styled(status.state.value, fg=_COLOURS.get(status.state))
     where = ", ".join(map(" ".join, status.endpoints))
     return f"{status.name} {state} at {where}" + (f": {status.cause}" if status.cause else "")
 

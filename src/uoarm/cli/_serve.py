@@ -155,7 +155,7 @@ def serve(
         chosen = ServerOptions(own_certificate=tls is not None, front_end_ports=ports, **settings)
         announcement = Announcement(manager.identity, chosen) if announce else None
         if manager.is_stopped:
-            click.echo(f"{_BEGINS_STOPPED}: {stop_file}", err=True)
+            echo(f"{_BEGINS_STOPPED}: {stop_file}", err=True)
         manager.offer(timeout=0)  # what fails is in the log and in the status
         if manager.config.record is not None:
             try:
@@ -241,7 +241,7 @@ def token(name: str, role: str) -> None:
         from uoarm.server import hash_token, make_token  # noqa: PLC0415 - an extra, and slow
 
     made = make_token()
-    click.echo(f"token: {made}", err=True)
+    echo(f"token: {made}", err=True)
     words = f"name: {_yaml(name)}, role: {_yaml(role)}, sha256: {hash_token(made)}"
     echo(f"  - {{{words}}}")
 
@@ -273,7 +273,7 @@ def stopping(manager: RobotManager) -> Iterator[None]:
     def stop() -> None:
         report = manager.stop_all()
         audit.stopped("SIGUSR1", "", report)
-        click.echo(str(report), err=True)
+        echo(str(report), err=True)
 
     def release() -> None:
         try:
@@ -283,7 +283,7 @@ def stopping(manager: RobotManager) -> Iterator[None]:
             print_error(error)
         else:
             audit.released("SIGUSR2", "")
-            click.echo("commands are let through again", err=True)
+            echo("commands are let through again", err=True)
 
     former = {
         number: signal.signal(
@@ -325,7 +325,7 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
                     is_refused = not _reload(manager)
                 elif is_refused:  # who has undone a mistake waits for a word
                     is_refused = False
-                    click.echo("the file is again what is in force: nothing changes", err=True)
+                    echo("the file is again what is in force: nothing changes", err=True)
 
     thread = threading.Thread(target=run, name="uoarm-reload", daemon=True)
     thread.start()
@@ -364,11 +364,11 @@ def _reload(manager: RobotManager) -> bool:
     try:
         change = manager.reload()
     except UoarmError as error:
-        click.echo(f"the configuration stays as it is: {error}", err=True)
+        echo(f"the configuration stays as it is: {error}", err=True)
     except Exception:  # noqa: BLE001 - the next reload may do better
         _log.exception("reloading the configuration failed")
     else:
-        click.echo(str(change), err=True)
+        echo(str(change), err=True)
         return True
     return False
 

@@ -57,7 +57,7 @@ def create(
     with reporting():
         wanted = environments.requirements(plugin, distribution, more)
         made = environments.create(
-            name, wanted, python=python, progress=click.echo, uv="" if no_uv else None
+            name, wanted, python=python, progress=echo, uv="" if no_uv else None
         )
         [found] = (
             environments.examine(environment)
@@ -86,7 +86,7 @@ def list_environments(*, as_json: bool) -> None:
         )
         return
     if not found:
-        click.echo(_NONE, err=True)
+        echo(_NONE, err=True)
     for environment in found:
         state = ", ".join(environment.requirements) if environment.is_whole else "incomplete"
         echo(f"{environment.name}: {state}")
@@ -112,7 +112,7 @@ def doctor(*, as_json: bool) -> None:
     if as_json:
         print_json(found)
     elif not found:
-        click.echo(_NONE, err=True)
+        echo(_NONE, err=True)
     else:
         for finding in found:
             facts = ", ".join(f"{key} {value}" for key, value in finding.facts.items())

@@ -20,7 +20,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from uoarm import errors
-from uoarm.cli._output import echo, output
+from uoarm.cli._output import echo, output, styled
 
 if TYPE_CHECKING:
     from uoarm import RobotManager
@@ -171,7 +171,7 @@ def reporting() -> Iterator[None]:
     except errors.UoarmError as error:
         fail(error, exit_code_of(error))
     except KeyboardInterrupt:
-        click.echo("interrupted", err=True)
+        echo("interrupted", err=True)
         sys.exit(INTERRUPTED)
 
 
@@ -275,17 +275,17 @@ def print_failure(
 
 def print_error_code(error_code: str) -> None:
     """Say on stderr what explains an error."""
-    click.echo(f"uoarm explain {error_code} says more", err=True)
+    echo(f"uoarm explain {error_code} says more", err=True)
 
 
 def print_error(error: object) -> None:
     """Say on stderr what is wrong."""
-    click.echo(f"{click.style('error:', fg='red')} {error}", err=True)
+    echo(f"{styled('error:', fg='red')} {error}", err=True)
 
 
 def print_warning(warning: object) -> None:
     """Say on stderr what is worth a look."""
-    click.echo(f"{click.style('warning:', fg='yellow')} {warning}", err=True)
+    echo(f"{styled('warning:', fg='yellow')} {warning}", err=True)
 
 
 _LEAST = 20

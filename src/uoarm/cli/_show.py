@@ -17,7 +17,7 @@ from click.shell_completion import CompletionItem
 
 from uoarm._version import __version__
 from uoarm.bridge import Registry
-from uoarm.cli._output import echo, saying_what_is_waited_for
+from uoarm.cli._output import echo, saying_what_is_waited_for, styled
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
@@ -108,7 +108,7 @@ def _say_that_it_takes_a_while(file: str) -> None:
     with suppress(OSError, ValueError):
         octets = Path(file).stat().st_size
         if octets >= _LARGE and sys.stderr.isatty():
-            click.echo(f"checking {file}, {octets / 1e6:.1f} MB: this takes a while", err=True)
+            echo(f"checking {file}, {octets / 1e6:.1f} MB: this takes a while", err=True)
 
 
 @click.command("list")
@@ -142,7 +142,7 @@ def list_functions(file: str, *, server: Remote | None, as_json: bool) -> None:
 
 
 def _heading(name: str, description: str) -> str:
-    return click.style(name, bold=True) + f"  {description}".rstrip()
+    return styled(name, bold=True) + f"  {description}".rstrip()
 
 
 def _candidate(name: str, bridge: str, priority: int, **_: object) -> str:
@@ -217,7 +217,7 @@ def bridges(*, file: str | None, as_json: bool) -> None:
     for type_ in registry.types.values():
         echo(f"{type_.name:<10} {type_.summary}")
     for problem in registry.problems:
-        echo(f"{problem.name:<10} {click.style('broken:', fg='red')} {problem.cause}")
+        echo(f"{problem.name:<10} {styled('broken:', fg='red')} {problem.cause}")
     for option, value in assigned.items():
         echo(f"{option} {value}, chosen by uoarm")
 
@@ -265,7 +265,7 @@ def doctor(*, file: str | None, is_service: bool, unit: str, as_json: bool) -> N
         print_json(facts)
         return
     for name, findings in facts.items():
-        echo(click.style(name, bold=True))
+        echo(styled(name, bold=True))
         for key, finding in findings.items():
             echo(f"  {key:<14} {finding}")
 
@@ -283,9 +283,9 @@ def _examine_service(name: str, *, as_json: bool) -> None:
     if as_json:
         print_json({"unit": str(unit.path), "usable": is_usable, "findings": to_json(findings)})
     else:
-        echo(click.style(str(unit.path), bold=True))
+        echo(styled(str(unit.path), bold=True))
         for finding in findings:
-            level = click.style(f"{finding.level.value:<8}", fg=_COLOURS[finding.level.value])
+            level = styled(f"{finding.level.value:<8}", fg=_COLOURS[finding.level.value])
             echo(f"  {finding.check:<14} {level} {finding.text}")
     if not is_usable:
         sys.exit(BRIDGE)

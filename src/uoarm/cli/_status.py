@@ -18,7 +18,7 @@ from uoarm._checks import plugin_facts
 from uoarm._origin import install_command
 from uoarm.bridge import Registry
 from uoarm.cli._discover import looking
-from uoarm.cli._output import echo, output
+from uoarm.cli._output import clear, echo, output, styled
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
@@ -56,8 +56,8 @@ def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool
     async def _follow(robot: Any, show: Callable[[Mapping[str, Any]], None]) -> None:
         while True:
             await asyncio.sleep(every)
-            if output().isatty() and not as_json:
-                click.clear()
+            if not as_json:
+                clear()
             show(await robot.status())
 
     asked(server, work, watches=watch)
@@ -77,7 +77,7 @@ def _print_json(status: Mapping[str, Any]) -> None:
 
 def _print_tables(status: Mapping[str, Any]) -> None:
     for line in format_status(status, terminal_width()).splitlines():
-        echo(line if line.startswith(" ") else click.style(line, bold=True))
+        echo(line if line.startswith(" ") else styled(line, bold=True))
 
 
 _SECONDS = 10.0
@@ -229,8 +229,8 @@ def status(
         try:
             while watch:
                 time.sleep(every)
-                if output().isatty() and not as_json:
-                    click.clear()
+                if not as_json:
+                    clear()
                 functions = _show(robot, as_json=as_json)
         except KeyboardInterrupt:
             sys.exit(0)  # it is how watching ends
@@ -248,7 +248,7 @@ def _show(robot: RobotManager, *, as_json: bool) -> tuple[FunctionStatus, ...]:
     for function in functions:
         head, _, candidates = str(function).partition("\n")
         colour = "red" if function.provider is None else "green"
-        echo(click.style(fitted(head), bold=True, fg=colour))
+        echo(styled(fitted(head), bold=True, fg=colour))
         if candidates:
             echo(fitted(candidates))
     for machine in robot.status().machines:

@@ -13,7 +13,7 @@ from uoarm import RobotManager
 from uoarm._raised import foreign, sentence_of
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
-from uoarm.cli._output import echo
+from uoarm.cli._output import echo, styled
 from uoarm.cli._serve import cannot_listen, listening_options, say, stop_file_of, stopping
 from uoarm.cli._shared import (
     DefaultConfiguration,
@@ -133,7 +133,7 @@ class _Follower:
         if not self._as_json:
             for name, plan in functions.items():
                 if others.get(name) != plan:
-                    self._echo(f"{click.style(name, bold=True)}  {plan}")
+                    self._echo(f"{styled(name, bold=True)}  {plan}")
         elif (before, others) != (findings, functions):
             self._echo(write_json({"findings": to_json(findings), "functions": functions}))
 
@@ -170,7 +170,7 @@ def _following(follower: _Follower, every: float) -> Iterator[None]:
             except Exception as error:  # noqa: BLE001 - plugins and what is printed may raise anything
                 failure = sentence_of(error)
             if failure not in {"", said} and not over.is_set():
-                click.echo(f"looking for components failed: {failure}", err=True)
+                echo(f"looking for components failed: {failure}", err=True)
             said = failure
             over.wait(every)
 

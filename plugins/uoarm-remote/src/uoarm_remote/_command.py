@@ -28,7 +28,7 @@ from uoarm.bridge import Registry
 from uoarm.config import load
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, format_status, to_json, write_json
-from uoarm.plugins import Command, CommandParser, hookimpl
+from uoarm.plugins import Command, CommandParser, hookimpl, printable
 from uoarm_remote._link import CONNECTING_ERRORS, server_address, why_unreachable
 from uoarm_remote._options import ManagerOptions
 
@@ -105,7 +105,7 @@ def main(arguments: list[str] | None = None) -> int:
     else:
         width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
         found = "\n".join(report.text(width) for report in reports)
-        print(found or f"{path} imports from no other manager")  # noqa: T201 - as above
+        print(printable(found) or f"{path} imports from no other manager")  # noqa: T201 - as above
     return _FAILED if any(report.cause for report in reports) else 0
 
 
@@ -123,7 +123,7 @@ def _browse(seconds: float, *, as_json: bool) -> int:
     if as_json:
         print(write_json(to_json(managers), indent=2))  # noqa: T201 - it is what was asked for
     else:
-        text = announced_text(managers)
+        text = printable(announced_text(managers))
         print(text or f"no manager was announced within {seconds:g} s")  # noqa: T201 - as above
     if is_full:
         sys.stderr.write(f"more than {MOST} are announced: the others are not listed\n")

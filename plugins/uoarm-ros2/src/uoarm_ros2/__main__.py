@@ -14,7 +14,7 @@ from uoarm.bridge import Bridge, Description, Registry
 from uoarm.cli import main as run_command
 from uoarm.errors import CommandLineError
 from uoarm.model import BridgeSpec, Endpoint, Options, Role
-from uoarm.plugins import Command, CommandParser, hookimpl
+from uoarm.plugins import Command, CommandParser, hookimpl, printable
 from uoarm_ros2._installed import installed
 from uoarm_ros2._options import HIGHEST_DOMAIN
 from uoarm_ros2._types import import_type, kind_of, type_mistake
@@ -101,7 +101,7 @@ def _show(given: argparse.Namespace) -> int:
 
 
 def _print(given: argparse.Namespace, found: Any, lines: Any) -> int:
-    text = json.dumps(found, indent=2) if given.json else "\n".join(lines(found))
+    text = json.dumps(found, indent=2) if given.json else printable("\n".join(lines(found)))
     sys.stdout.write(text + "\n" if text else "")
     sys.stdout.flush()
     return 0

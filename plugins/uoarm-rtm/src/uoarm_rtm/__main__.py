@@ -16,7 +16,7 @@ from typing import Any
 
 from uoarm.cli import main as run_command
 from uoarm.errors import CommandLineError
-from uoarm.plugins import Command, CommandParser, hookimpl
+from uoarm.plugins import Command, CommandParser, hookimpl, printable
 
 __all__ = ["main", "uoarm_commands"]
 
@@ -129,7 +129,7 @@ def _request(given: argparse.Namespace) -> dict[str, object]:
 
 
 def _print(given: argparse.Namespace, found: Any, lines: Any) -> int:
-    text = json.dumps(found, indent=2) if given.json else "\n".join(lines(found))
+    text = json.dumps(found, indent=2) if given.json else printable("\n".join(lines(found)))
     sys.stdout.write(text + "\n" if text else "")
     sys.stdout.flush()
     return 0
