@@ -17,6 +17,7 @@ from uoarm.testing import Background, Collector, patience, slowness, wait
 
 SET = "std_srvs/SetBool"
 ADD = "actionlib/TwoIntsAction"
+OURS = {"success": True, "message": "ours"}
 ANY = MessageStructure(True)
 
 
@@ -275,3 +276,31 @@ def test_every_node_is_discovered_with_structures(master: Master) -> None:
         for at, known in found["/discovered"].endpoints:
             assert bridge.describe(at) == known
     peer.kill()
+
+
+def test_a_service_that_another_node_registers_later_is_degraded_until_that_ends(
+    master: Master,
+) -> None:
+    peer = master.peer("later")
+    with bridge_to(master) as bridge:
+        bridge.serve(service("/both", SET), lambda _: OURS)
+        reports = Reports(bridge)
+        peer.do("serve", service="/both", type=SET)
+        event = reports.wait(Health.DEGRADED, "clients of /both are sent to node /later")
+        assert event.channel is not None
+        peer.do("serve_no_more", service="/both")
+        reports.wait(Health.OK, "clients of /both are sent here again")
+        assert bridge.call(service("/both"), {"data": True}, timeout=patience()) == OURS
+    peer.kill()
+
+
+def test_a_service_is_taken_back_from_a_node_that_was_killed(master: Master) -> None:
+    peer = master.peer("brief")
+    with bridge_to(master) as bridge:
+        bridge.serve(service("/kept", SET), lambda _: OURS)
+        reports = Reports(bridge)
+        peer.do("serve", service="/kept", type=SET)
+        reports.wait(Health.DEGRADED, "are sent to node /brief")
+        peer.kill()
+        reports.wait(Health.OK, "clients of /kept are sent here again")
+        assert bridge.call(service("/kept"), {"data": True}, timeout=patience()) == OURS

@@ -76,6 +76,7 @@ class Ros1Bridge(Bridge):
         # Guards the callers, and what was lost, between steps and the watch.
         self._table_lock = threading.Lock()
         self._ticking: WeakSet[_Ticking] = WeakSet()
+        self._served: WeakSet[ServedService] = WeakSet()
         self._closing = threading.Event()
         self._rosout = Rosout(self._node, self._types) if options.rosout else None
         self._clock = Clock(self._node, self._types) if options.use_sim_time else None
@@ -338,7 +339,11 @@ class Ros1Bridge(Bridge):
                 self.report_channel,
             )
         kind = self._types.require_service(address.type, port.definition)
-        return ServedService(endpoint, self._node, name, kind, handler, port.at_once)
+        served = ServedService(
+            endpoint, self._node, name, kind, handler, port.at_once, self.report_channel
+        )
+        self._served.add(served)
+        return served
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         ends = [(end, address_of(end), port_of(end)) for end in (source, sink)]
@@ -443,18 +448,22 @@ class Ros1Bridge(Bridge):
         if report is not None:
             self.report(*report)
         if health.is_up:
-            self._look_for_lost()
+            self._look_at_graph()
 
-    def _look_for_lost(self) -> None:
+    def _look_at_graph(self) -> None:
+        """See who answers our services, and whether what was lost is back."""
         with self._table_lock:
             keys = self._lost.keys
-        if not keys:
+        served = [channel for channel in tuple(self._served) if not channel.closed]
+        if not keys and not served:
             return
         node = self._node
         try:
-            state = node.master.state()
+            state = node.master.state()  # after the list of ours: all of these are registered
         except BridgeError:
             return
+        for channel in served:
+            channel.look(state.services.get(channel.name, ()))
         for key in keys:
             _, kind, name = key
             registered = node.addresses(getattr(state, kind).get(name, ()))

@@ -233,11 +233,19 @@ class Node:
                 raise BridgeError(text, FailureReason.REFUSED)
             self._services[service] = arrived
         try:
-            call = partial(self.master.register_service, service, self.service_uri)
-            self._register("service", service, call)
+            self.register_service(service)
         except BaseException:
             self.unserve(service)
             raise
+
+    def register_service(self, service: str) -> None:
+        """Have the master send clients of a service here, unless it is not served any more.
+
+        Raises:
+            BridgeError: the master cannot be reached.
+        """
+        call = partial(self.master.register_service, service, self.service_uri)
+        self._register("service", service, call)
 
     def unserve(self, service: str) -> None:
         """Serve a service no more."""
@@ -326,8 +334,7 @@ class Node:
             call = partial(self.master.register_publisher, topic, publication.record.name)
             self._register("publisher", topic, call)
         for service in services:
-            call = partial(self.master.register_service, service, self.service_uri)
-            self._register("service", service, call)
+            self.register_service(service)
         for topic, made in subscriptions.items():
             ask = partial(self.master.register_subscriber, topic, made[0].wanted.kind)
             uris = self._register("subscriber", topic, ask)

@@ -6,12 +6,12 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 
 from uoarm.bridge import Channel, Handler, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Budget, Endpoint, Message
+from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_ros1._definitions import RosService
 from uoarm_ros1._master import connect, failure_text
 from uoarm_ros1._node import Node
@@ -203,7 +203,11 @@ class Caller:
 
 
 class ServedService(Channel):
-    """A function that answers in ROS 1: requests of one client one after the other."""
+    """A function that answers in ROS 1: requests of one client one after the other.
+
+    The master sends clients to the node that registered a service last. While that is another one,
+    which lives, the channel is degraded.
+    """
 
     def __init__(
         self,
@@ -213,10 +217,13 @@ class ServedService(Channel):
         kind: RosService,
         handler: Handler,
         at_once: int,
+        report: Callable[[Channel, Health, str], None],
     ) -> None:
         super().__init__(endpoint)
-        self._node, self._service, self._kind = node, service, kind
-        self._handler = handler
+        self.name = service
+        self._node, self._kind = node, kind
+        self._handler, self._report = handler, report
+        self._other = ""
         budget: Budget = node.options.budget
         self._read, self._write = reader(kind.request, budget), framed_writer(kind.reply)
         self._most = budget.octets
@@ -237,16 +244,37 @@ class ServedService(Channel):
             "clients": len(self._clients),
         }
 
+    def look(self, nodes: Sequence[str]) -> None:
+        """Compare which nodes the master has for the service; in the thread that watches it.
+
+        Where it has none, or one that does not live, the service is registered here again.
+        """
+        other = ""
+        if self._node.name not in nodes:
+            if any(map(self._node.is_alive, nodes)):
+                other = ", ".join(nodes)
+            else:
+                with suppress(BridgeError):  # the next look tries again
+                    self._node.register_service(self.name)
+        if other == self._other:
+            return
+        self._other = other
+        if other:
+            text = f"clients of {self.name} are sent to node {other}, which registered it later"
+            self._report(self, Health.DEGRADED, text)
+        else:
+            self._report(self, Health.OK, f"clients of {self.name} are sent here again")
+
     def _arrived(self, connection: socket.socket, header: dict[str, str]) -> None:
         """Take a client; in the loop's thread."""
         kind = self._kind
-        problem = service_problem(header, self._service, kind.name, kind.md5)
+        problem = service_problem(header, self.name, kind.name, kind.md5)
         with self._lock:
             is_full = self.closed or len(self._clients) >= self._most_clients
             if not problem and not is_full and header.get("probe") != "1":
                 self._clients.add(connection)
         if is_full:
-            problem = problem or f"{self._service} has {self._most_clients} clients already"
+            problem = problem or f"{self.name} has {self._most_clients} clients already"
         if problem:
             self._refused += 1
             answer = {"error": problem, "callerid": self._node.name}
@@ -267,7 +295,7 @@ class ServedService(Channel):
         thread = threading.Thread(
             target=self._answer_client,
             args=(connection, header.get("persistent") == "1"),
-            name=f"uoarm-ros1-{self._service}",
+            name=f"uoarm-ros1-{self.name}",
             daemon=True,
         )
         thread.start()
@@ -307,7 +335,7 @@ class ServedService(Channel):
         return b"\1" + octets
 
     def _close(self) -> None:
-        self._node.unserve(self._service)
+        self._node.unserve(self.name)
         with self._lock:
             clients = list(self._clients)
         for connection in clients:

@@ -186,6 +186,11 @@ def serve(service, type, how="ok"):
     KEPT.append(rospy.Service(service, kind, answer))
 
 
+def serve_no_more(service):
+    for served in [kept for kept in KEPT if getattr(kept, "resolved_name", "") == service]:
+        served.shutdown()
+
+
 def call(service, type, values):
     proxy = rospy.ServiceProxy(service, service_class(type))
     try:
