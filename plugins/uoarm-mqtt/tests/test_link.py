@@ -11,6 +11,7 @@ from brokers import Broker
 from uoarm_mqtt import _link
 from uoarm_mqtt._link import BrokerConnection, PacketOutcome
 from uoarm_mqtt._options import BrokerOptions, connection_options
+from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.testing import Background, patience, wait
@@ -115,3 +116,21 @@ def test_a_closed_one_says_so(link: BrokerConnection) -> None:
     with pytest.raises(BridgeError, match="the connection to the broker is closed") as caught:
         link.publish("a", b"x", print)
     assert caught.value.reason is FailureReason.CLOSED
+
+
+def test_a_receiver_that_raises_ends_no_other(
+    link: BrokerConnection, caplog: pytest.LogCaptureFixture
+) -> None:
+    came: list[ReceivedMessage] = []
+
+    def give(message: ReceivedMessage) -> None:
+        raise ValueError(message.payload)
+
+    link.subscribe(Receiver("raising/+", give))
+    link.subscribe(Receiver("raising/a", came.append))
+    for payload in (b"1", b"2"):
+        link.publish("raising/a", payload, lambda _: None)
+    wait(lambda: len(came) == 2, f"{came}", patience())
+    assert link._up
+    link.close()
+    assert "m: a message on raising/a was not taken" in caplog.text

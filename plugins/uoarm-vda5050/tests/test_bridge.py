@@ -119,13 +119,16 @@ def test_a_fatal_error_is_reported_and_its_end(broker: Broker) -> None:
 
 def test_vehicles_are_discovered_with_what_they_are(broker: Broker) -> None:
     sheet = {"typeSpecification": {"seriesName": "mouse", "maxLoadMass": 12.5}}
+    heavy = {"typeSpecification": {"maxLoadMass": 10**400}}  # more than a float has room for
     with (
         driven(broker, "found", interface="other", factsheet=sheet),
+        driven(broker, "heavy", interface="other", factsheet=heavy),
         driven(broker, "no$address", interface="other"),
         bridge_to(broker, interface="other") as bridge,
     ):
-        (found,) = bridge.discover()
+        found, unsaid = bridge.discover()
         assert (found.name, found.detail) == ("uoa/found", "mouse, 12.5 kg")
+        assert (unsaid.name, unsaid.detail) == ("uoa/heavy", "")
         for place, description in found.endpoints:
             assert bridge.describe(place) == description
 

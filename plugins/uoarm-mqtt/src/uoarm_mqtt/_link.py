@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import sys
 import threading
@@ -24,6 +25,8 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, Message
 from uoarm.model import Health
 from uoarm_mqtt._options import ConnectionOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
+
+_log = logging.getLogger("uoarm.mqtt")
 
 _STEP_SECONDS = 4.0
 """How long one step waits for the broker: less than the manager does, which knows no cause."""
@@ -508,7 +511,10 @@ class BrokerConnection:
         with self._changed:
             receivers = self._subscriptions.route(came)
         for receiver in receivers:
-            receiver.give(came)
+            try:
+                receiver.give(came)
+            except Exception:  # noqa: BLE001 - a message of one topic ends no other
+                _log.exception("%s: a message on %s was not taken", self.name, came.topic)
 
     def _down(self, cause: str, *, final: bool = False) -> None:
         with self._changed:

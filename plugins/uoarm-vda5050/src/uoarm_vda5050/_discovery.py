@@ -84,11 +84,9 @@ class VehicleDirectory:
             *_, manufacturer, serial_number, _ = incoming.topic.split("/")
             try:
                 sheet: Any = self._codec.decode(incoming.payload)
-            except MessageError:
-                return
-            kind = sheet["typeSpecification"]
-            mass = kind.get("maxLoadMass", kind.get("maximumLoadMass", 0))
-            found[manufacturer, serial_number] = f"{kind['seriesName']}, {mass:g} kg"[:200]
+                found[manufacturer, serial_number] = _kind_of(sheet["typeSpecification"])
+            except (MessageError, LookupError, TypeError, ValueError, OverflowError):
+                return  # a schema of the user's may allow what has no series or mass
 
         receiver = Receiver(f"{self._prefix}/+/+/factsheet", take, qos=0, retained=True)
         self._link.subscribe(receiver)
@@ -97,3 +95,9 @@ class VehicleDirectory:
         finally:
             self._link.unsubscribe(receiver)
         return found
+
+
+def _kind_of(kind: Any) -> str:
+    """Return the series of a vehicle, and the highest load."""
+    mass = kind.get("maxLoadMass", kind.get("maximumLoadMass", 0))
+    return f"{kind['seriesName']}, {mass:g} kg"[:200]
