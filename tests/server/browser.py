@@ -31,6 +31,7 @@ OPTIONS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--disable-features=BackForwardCache",  # which would keep each page that a test has left
     "--remote-debugging-port=0",
 )
 KEYS = {

@@ -97,7 +97,7 @@ def between() -> Iterator[Between]:
         yield lambda server: stack.enter_context(Proxy(server.ports[0]))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def chromium() -> Iterator[Browser]:
     program = find_chromium()
     assert program is not None

@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 import pytest
-from tests.server.browser import Browser, find_chromium
+from tests.server.browser import Browser
 from tests.server.conftest import Serve
 from tests.server.talk import SECONDS, Talk
 from websockets.asyncio.client import ClientConnection, connect
@@ -145,12 +145,10 @@ ASK = """new Promise((resolve) => {
 
 
 @pytest.mark.needs("chromium")
-def test_a_browser_asks_for_it_and_reads_what_comes(serve: Serve) -> None:
-    server, program = serve(deflate=True), find_chromium()
-    assert program is not None
-    with Browser(program) as browser:
-        browser.go(f"http://127.0.0.1:{server.ports[0]}/")
-        browser.until("document.querySelector('.link-state.open')")
-        extensions, report = browser.js(ASK)
+def test_a_browser_asks_for_it_and_reads_what_comes(serve: Serve, browser: Browser) -> None:
+    server = serve(deflate=True)
+    browser.go(f"http://127.0.0.1:{server.ports[0]}/")
+    browser.until("document.querySelector('.link-state.open')")
+    extensions, report = browser.js(ASK)
     assert extensions.startswith("permessage-deflate")
     assert report == "Reply"

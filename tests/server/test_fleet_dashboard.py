@@ -8,7 +8,7 @@ import pytest
 from tests.server.browser import CONTRAST, Browser, says, text
 from tests.server.conftest import Connect, Visit
 from tests.server.shown import END, front
-from tests.server.test_accessibility import axe, findings
+from tests.server.test_accessibility import axe, findings, light_and_dark
 from tests.server.test_dashboard import manage
 
 from uoarm import RobotManager
@@ -130,15 +130,15 @@ def test_what_is_searched_is_found_in_it(browser: Browser, visit: Visit) -> None
 
 
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
-@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
 def test_nothing_serious_is_found(
-    browser: Browser, visit: Visit, axe: str, width: int, height: int, *, is_dark: bool
+    browser: Browser, visit: Visit, axe: str, width: int, height: int
 ) -> None:
-    browser.show(width, height, phone=width < 700, dark=is_dark)
+    browser.show(width, height, phone=width < 700)
     for place in ("#/graph", "#/graph&unfolded=robot3,robot4"):
         visit(place)
         browser.until(says(THIRD, "2 functions"))
-        assert browser.js(COVERED) == 0
-        assert browser.js(CONTRAST) == []
-        assert findings(browser, axe) == []
-        assert browser.js("document.documentElement.scrollWidth") <= width
+        for _ in light_and_dark(browser, width, height):
+            assert findings(browser, axe) == []  # first, as it waits for transitions
+            assert browser.js(COVERED) == 0
+            assert browser.js(CONTRAST) == []
+            assert browser.js("document.documentElement.scrollWidth") <= width
