@@ -13,10 +13,11 @@ import pytest
 from endpoints import INT64, Inbox, endpoint, known, sink, source
 from messages import default_of
 from peers import DOMAIN, MORTAL, OPTIONS, Peer
+from uoarm_ros2 import _services
 from uoarm_ros2._actions import Action
 from uoarm_ros2._discovery import Ros2Graph
 from uoarm_ros2._middleware import GoalRequest, Participant
-from uoarm_ros2._services import Disagreement, _with_disagreement
+from uoarm_ros2._services import Disagreement, OtherServers, _with_disagreement
 from uoarm_ros2._types import import_type
 
 from uoarm import RobotManager
@@ -30,7 +31,7 @@ from uoarm.errors import (
     MessageError,
 )
 from uoarm.model import Health, Role
-from uoarm.testing import patience, wait
+from uoarm.testing import ManualClock, patience, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -143,6 +144,53 @@ def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
     wait(lambda: channel.facts() == {"answered": 1, "failed": 1, "refused": 0, "waiting": 0})
     assert client.do("call", name="/switch", value=True)["success"]
     assert events.event(Health.OK, "serving /switch: a message passed").channel is channel
+
+
+@pytest.mark.parametrize("is_action", [False, True], ids=["service", "action"])
+def test_another_server_of_what_we_serve_is_reported_while_it_is_there(
+    bridge: Bridge, peer: Start, monkeypatch: pytest.MonkeyPatch, is_action: bool
+) -> None:
+    monkeypatch.setattr(_services, "_LEASE_SECONDS", 0.0)
+    events = Inbox()
+    bridge.watch(events)
+    name = "/moved" if is_action else "/increment"
+    channel = bridge.serve(
+        service(name, FIBONACCI if is_action else BASIC), lambda message: message
+    )
+    other = peer("other")
+    other.do("act" if is_action else "serve", name=name)
+    event = events.event(Health.DEGRADED, f"{name} is served by ")
+    assert event.channel is channel
+    other.end()
+    assert events.event(Health.OK, f"{name} has no other server").channel is channel
+
+
+def test_a_server_that_is_started_again_beside_what_is_left_of_it_is_no_other() -> None:
+    reports: list[str] = []
+    nodes = ["/us"]
+    runner: Any = SimpleNamespace(
+        server_count=lambda _: len(nodes),
+        servers=lambda _: [SimpleNamespace(node=node) for node in nodes],
+    )
+    clock = ManualClock()
+    others = OtherServers(
+        runner, lambda: frozenset({"/us"}), "/x", "/x", lambda _, text: reports.append(text), clock
+    )
+    both = "/x is served by /it, too: clients take the reply that is first"
+    for there, seconds, wanted in (
+        (["/us"], 0.0, []),
+        (["/us", "/us"], 29.0, []),
+        (["/us"], 1.0, []),
+        (["/us", "/it"], 29.0, []),
+        (["/us", "/it"], 2.0, [both]),
+        (["/us", "/it"], 99.0, [both]),
+        (["/us"], 0.0, [both, "/x has no other server any more"]),
+    ):
+        nodes[:] = there
+        others.tick()
+        clock.advance(seconds)
+        others.tick()
+        assert reports == wanted
 
 
 def test_what_cannot_be_served_says_so(bridge: Bridge) -> None:

@@ -211,6 +211,10 @@ class ServedRequests(Generic[T]):
                 self._waiting.remove(request)
             return found, [request for request in self._handled if is_meant(request)]
 
+    def peer_reported(self, health: Health, cause: str) -> None:
+        """Say how the framework's side is, whatever becomes of requests; OK is the end of it."""
+        self._monitor.peer_reported(health, cause)
+
     def close(self) -> None:
         """Handle no other request; does not wait, since the one that is handled may close it."""
         self._monitor.close()

@@ -51,7 +51,7 @@ from uoarm_ros2._options import (
 )
 from uoarm_ros2._qos import Policies
 from uoarm_ros2._schema import describe_action, describe_service, part_structure, structure_of
-from uoarm_ros2._services import ServiceClient, ServiceServer
+from uoarm_ros2._services import OtherServers, ServiceClient, ServiceServer
 from uoarm_ros2._topic_endpoint import TopicContext
 from uoarm_ros2._transforms import FrameLookups
 from uoarm_ros2._type_finder import DESCRIPTION_SERVICE, DefinedTypes, TypeFinder
@@ -367,9 +367,16 @@ class Ros2Bridge(Bridge):
             text = f"{endpoint}: serving needs a type, as package/srv/Name, in the address"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
         name = self._runner.service_name(address.name)
-        kind = OfferedCall if address.kind == ACTION else ServiceServer
+        is_action = address.kind == ACTION
+        kind = OfferedCall if is_action else ServiceServer
         runner, at_once = self._shared.replies(), options.at_once
-        return kind(runner, endpoint, name, address.type, handler, at_once, self.report_channel)
+        made = kind(runner, endpoint, name, address.type, handler, at_once, self.report_channel)
+        asked = f"{name}/_action/send_goal" if is_action else name
+        others = OtherServers(
+            self._runner, self._participant.node_names, name, asked, made.requests.peer_reported
+        )
+        self._watched[made] = others.tick
+        return made
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         wanted = [

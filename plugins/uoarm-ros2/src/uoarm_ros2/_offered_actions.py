@@ -407,7 +407,7 @@ class OfferedCall(Channel):
     ) -> None:
         super().__init__(endpoint)
         self._handler = handler
-        self._requests: ServedRequests[tuple[bytes, Message]] = ServedRequests(
+        self.requests: ServedRequests[tuple[bytes, Message]] = ServedRequests(
             f"serving {name}", self._answer, self._refuse, at_once, partial(report, self)
         )
         goal, _, result = action_records(type_name)
@@ -428,21 +428,21 @@ class OfferedCall(Channel):
 
     def facts(self) -> Mapping[str, object]:
         """Return counters of goals."""
-        return self._requests.facts()
+        return self.requests.facts()
 
     def _close(self) -> None:
-        self._requests.close()
+        self.requests.close()
         for goal_id in list(self._running):
             self._end(goal_id, "aborted")
         self._runner.discard(self._server)
 
     def _ask(self, request: GoalRequest) -> None:
-        if self._closed or self._requests.is_full:
+        if self._closed or self.requests.is_full:
             self._server.reject(request)
             return
         self._server.accept(request)
         self._running.add(request.id)
-        self._requests.put((request.id, self._read(request.goal)))
+        self.requests.put((request.id, self._read(request.goal)))
 
     def _answer(self, request: tuple[bytes, Message]) -> None:
         goal_id, goal = request

@@ -18,7 +18,7 @@ from attrs import frozen
 
 from uoarm.bridge import Channel, Handler, ServedRequests
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm.model import Endpoint, Message
+from uoarm.model import Endpoint, Health, Message
 from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._discovery import Ros2Graph, ServerPresence
 from uoarm_ros2._health import Report
@@ -27,6 +27,8 @@ from uoarm_ros2._schema import service_records
 from uoarm_ros2._types import import_type
 
 _LOOK_SECONDS = 1.0
+_LEASE_SECONDS = 30.0
+_SEVERAL = 2
 
 
 @frozen
@@ -198,6 +200,55 @@ class ServiceClient:
         self._is_matched = True
 
 
+class OtherServers:
+    """Looks whether others serve a name that we serve: a client takes the reply that comes first.
+
+    What was killed stays on the graph for its lease, twenty seconds with Fast DDS, beside what was
+    started in its place. So only servers that are there for longer count.
+
+    Args:
+        runner: of a node of ours.
+        own: returns the names of our nodes.
+        name: the full name that is served, for the cause.
+        service: the full name of the service to look at: of an action, one of those behind it.
+        report: takes changes of health.
+        clock: seconds.
+    """
+
+    def __init__(
+        self,
+        runner: NodeRunner,
+        own: Callable[[], frozenset[str]],
+        name: str,
+        service: str,
+        report: Callable[[Health, str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._runner, self._own = runner, own
+        self._name, self._service = name, service
+        self._report, self._clock = report, clock
+        self._since: float | None = None
+        self._is_reported = False
+
+    def tick(self) -> None:
+        """Look at the graph, a few times a second."""
+        now = self._clock()
+        if self._runner.server_count(self._service) < _SEVERAL:
+            self._since = None
+            if self._is_reported:
+                self._is_reported = False
+                self._report(Health.OK, f"{self._name} has no other server any more")
+            return
+        self._since = now if self._since is None else self._since
+        if not self._is_reported and now - self._since >= _LEASE_SECONDS:
+            self._is_reported = True
+            found = {peer.node for peer in self._runner.servers(self._service)} - self._own()
+            named = sorted(node for node in found if UNNAMED not in node)
+            nodes = ", ".join(named) or "another node"
+            text = f"{self._name} is served by {nodes}, too: clients take the reply that is first"
+            self._report(Health.DEGRADED, text)
+
+
 class ServiceServer(Channel):
     """A service offered to ROS.
 
@@ -230,7 +281,7 @@ class ServiceServer(Channel):
         requests: ServedRequests[tuple[Any, Message]] = ServedRequests(
             f"serving {name}", self._answer, self._refuse, at_once, partial(report, self)
         )
-        self._requests = requests
+        self.requests = requests
         native: Any = import_type(type_name)
         request, reply = service_records(native, type_name)
         read = reader(request)
@@ -244,10 +295,10 @@ class ServiceServer(Channel):
 
     def facts(self) -> Mapping[str, object]:
         """Return counters of requests."""
-        return self._requests.facts()
+        return self.requests.facts()
 
     def _close(self) -> None:
-        self._requests.close()
+        self.requests.close()
         self._runner.discard(self._service)
 
     def _answer(self, request: tuple[Any, Message]) -> None:

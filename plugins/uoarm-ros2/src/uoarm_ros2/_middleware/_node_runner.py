@@ -360,14 +360,18 @@ class NodeRunner:
             self._definitions[native] = own[0]
         return next(iter(own), "")
 
-    @rclpy_errors(_GRAPH)
     def has_server(self, service: str) -> bool:
         """Whether a server of this full name is on the graph; clients do not count.
 
         Raises:
             BridgeError: the node has ended, as for all that the graph is asked here.
         """
-        return bool(self.node.count_services(service))
+        return bool(self.server_count(service))
+
+    @rclpy_errors(_GRAPH)
+    def server_count(self, service: str) -> int:
+        """Return how many servers of a full name are on the graph, ours included."""
+        return int(self.node.count_services(service))
 
     @rclpy_errors(_GRAPH)
     def servers(self, service: str) -> tuple[Peer, ...]:
