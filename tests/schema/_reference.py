@@ -17,6 +17,17 @@ Marks = tuple[set[str], set[int]]
 """The names and the positions that were evaluated."""
 
 _ROOM = 20_000
+_LISTS = frozenset({"const", "enum"})
+_CONJUNCTS = frozenset({"$ref", "allOf", "dependentSchemas"})
+_CHOICES = frozenset({"anyOf", "oneOf", "not", "if"})
+_OF_ARRAYS = frozenset(
+    {"minItems", "maxItems", "uniqueItems", "prefixItems", "items", "contains", "unevaluatedItems"}
+)
+_OF_OBJECTS = frozenset(
+    {"minProperties", "maxProperties", "required", "dependentRequired", "propertyNames"}
+    | {"properties", "patternProperties", "additionalProperties", "unevaluatedProperties"}
+)
+_OF_STRINGS = frozenset({"pattern", "minLength", "maxLength"})
 _REMOTE = ("$dynamicRef", "$recursiveRef")
 
 
@@ -122,17 +133,19 @@ class Reference:
             return (set(), set()) if schema else None
         assert isinstance(schema, Mapping)
         marks: Marks = (set(), set())
-        if not (self._listed(schema, value) and _scalar_rules(schema, value)):
+        lacks = schema.keys().isdisjoint  # of a group of keywords most schemas have none
+        if not (lacks(_LISTS) or self._listed(schema, value)) or not _scalar_rules(schema, value):
             return None
-        for part in self._conjuncts(schema, value):
-            if not self._merge(marks, part, value):
-                return None
-        if not self._choices(schema, value, marks):
+        if not lacks(_CONJUNCTS):
+            for part in self._conjuncts(schema, value):
+                if not self._merge(marks, part, value):
+                    return None
+        if not (lacks(_CHOICES) or self._choices(schema, value, marks)):
             return None
-        if isinstance(value, list) and not self._array(schema, value, marks):
-            return None
-        if isinstance(value, dict) and not self._object(schema, value, marks):
-            return None
+        if isinstance(value, list):
+            return marks if lacks(_OF_ARRAYS) or self._array(schema, value, marks) else None
+        if isinstance(value, dict):
+            return marks if lacks(_OF_OBJECTS) or self._object(schema, value, marks) else None
         return marks
 
     def _listed(self, schema: Mapping[str, object], value: object) -> bool:
@@ -250,11 +263,15 @@ def _scalar_rules(schema: Mapping[str, object], value: object) -> bool:
         if not any(_has_type(value, str(name)) for name in names):
             return False
     if isinstance(value, str):
+        if schema.keys().isdisjoint(_OF_STRINGS):
+            return True
         pattern = schema.get("pattern")
         if isinstance(pattern, str) and not compiled(pattern).search(value):
             return False
         return _within(len(value), schema, "minLength", "maxLength")
     if is_number(value):
+        if schema.keys().isdisjoint(_NUMBER_RULES):
+            return True
         number = exact(value)  # type: ignore[arg-type] # a number, by is_number
         return all(
             rule(number, exact(schema[keyword]))  # type: ignore[arg-type] # the metaschema says number
