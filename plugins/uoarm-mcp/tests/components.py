@@ -35,6 +35,19 @@ functions:
   slow:
     components:
       - {name: slow, bridge: python, service: {endpoint: ["components:slow"]}}
+  odd:
+    components:
+      - name: odd
+        bridge: python
+        service:
+          endpoint: ["components:odd"]
+          request: &odd
+            type: object
+            properties:
+              number: {type: number}
+              most: {type: integer, maximum: 1180591620717411303424}
+              inner: {type: array, items: {$ref: "#"}}
+          reply: *odd
   broken:
     components:
       - {name: broken, bridge: python, service: {endpoint: ["components:broken"]}}
@@ -179,6 +192,11 @@ def slow(request: Number) -> Number:
     script.came.append(dict(request))
     script.gate.wait(patience())
     return request
+
+
+def odd(message: object) -> dict[str, object]:
+    del message
+    return {"number": float("nan"), "most": 2**70, "inner": [{"number": float("-inf")}]}
 
 
 def broken(request: Number) -> Number:

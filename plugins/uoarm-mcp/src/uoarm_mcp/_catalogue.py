@@ -295,7 +295,7 @@ def _result_of(structure: MessageStructure) -> MessageStructure:
     found = properties.get("result") if isinstance(properties, Mapping) else None
     if not isinstance(schema, Mapping) or not isinstance(found, Mapping):
         return MessageStructure({})
-    defined = {"$defs": schema["$defs"]} if "$defs" in schema else {}
+    defined = {name: schema[name] for name in ("$defs", "definitions") if name in schema}
     return MessageStructure({**found, **defined})
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -20,6 +21,15 @@ SECONDS = 30.0
 _WHOLE = "message"
 _HEADER = "x-mcp-header"
 _COMBINED = frozenset({"$ref", "$dynamicRef", "allOf", "anyOf", "oneOf", "not", "if"})
+_MAPS = ("properties", "patternProperties", "$defs", "definitions", "dependentSchemas")
+_LISTS = ("prefixItems", "allOf", "anyOf", "oneOf")
+_ONES = ("items", "additionalProperties", "contains", "unevaluatedItems", "unevaluatedProperties")
+_NAMED = ("$schema", "$id")  # of a whole document
+_PLACE = f"#/$defs/{_WHOLE}"
+_EXACT = 2**53 - 1  # the greatest number of which each whole one below has a form of its own
+_BOUNDS = frozenset({"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"})
+_DIGITS = "^-?(0|[1-9][0-9]*)$"
+_NUMBER = "^(-?(0|[1-9][0-9]*|Infinity)|NaN)$"
 _HANDLE = {"type": "string", "minLength": 1, "maxLength": 64}
 _NAME = {"type": "string", "minLength": 1, "maxLength": 256}
 _ENVELOPE = {
@@ -153,7 +163,8 @@ def plain_schema(structure: MessageStructure) -> dict[str, Any]:
     schema = TEXT_FORM.schema(structure.schema)
     if isinstance(schema, bool):
         return {} if schema else {"not": {}}
-    plain: dict[str, Any] = orjson.loads(orjson.dumps(schema, default=_plain))
+    # Not by orjson, which has no integer beyond 64 bits, as a bound may be.
+    plain: dict[str, Any] = json.loads(json.dumps(schema, default=_plain))
     return plain
 
 
@@ -208,7 +219,7 @@ def output_schema(structure: MessageStructure | None) -> dict[str, Any]:
     def around(moved: dict[str, Any]) -> dict[str, Any]:
         return {**made, "properties": {**made["properties"], "result": moved}}
 
-    return _hoisted(plain_schema(structure), around)
+    return _hoisted(answer_schema(structure), around)
 
 
 def read_output(structure: MessageStructure) -> dict[str, Any]:
@@ -226,14 +237,92 @@ def read_output(structure: MessageStructure) -> dict[str, Any]:
         }
         return {"type": "object", "properties": properties, "required": ["messages"]}
 
-    return _hoisted(plain_schema(structure), around)
+    return _hoisted(answer_schema(structure), around)
+
+
+def answer_schema(structure: MessageStructure) -> dict[str, Any]:
+    """Return the JSON Schema of all that is answered for messages of a structure.
+
+    Clients check what a tool answers, after it was done: none may be refused. So a number may be
+    the text that stands for it where JSON has none, also where the structure does not mark it.
+    """
+    schema = structure.schema
+    if isinstance(schema, bool):
+        return {} if schema else {"not": {}}
+    plain: dict[str, Any] = orjson.loads(TEXT_FORM.write(_inside(schema, _widened)))
+    return plain
+
+
+def _widened(schema: dict[str, Any]) -> dict[str, Any]:
+    if schema.get("x-octets") is True:
+        return {"type": "string", "contentEncoding": "base64", "x-octets": True}
+    if "const" in schema or "enum" in schema:
+        values = list(schema.get("enum", [schema.get("const")]))
+        said = orjson.loads(TEXT_FORM.write(values))
+        if said == values:
+            return schema
+        rest = {name: part for name, part in schema.items() if name not in {"type", "const"}}
+        return {**rest, "enum": said}
+    kinds = schema.get("type")
+    if not {"integer", "number"} & {*([kinds] if isinstance(kinds, str) else kinds or ())}:
+        return schema
+    low, high = schema.get("minimum"), schema.get("maximum")
+    is_exact = low is not None and high is not None and -_EXACT <= low <= high <= _EXACT
+    if is_exact and not schema.get("x-nonfinite"):
+        return schema
+    # What is beyond is a text, so that such a bound of numbers holds of none.
+    narrow = {k: part for k, part in schema.items() if k not in _BOUNDS or abs(part) <= _EXACT}
+    is_whole = kinds == "integer" or "number" not in kinds  # type: ignore[operator]
+    text = {"type": "string", "pattern": _DIGITS if is_whole else _NUMBER}
+    return {"anyOf": [narrow, text]}
+
+
+def _inside(schema: Any, change: Callable[[dict[str, Any]], dict[str, Any]]) -> Any:
+    """Return a schema in which each one within it, and then it, was changed."""
+    if not isinstance(schema, Mapping):
+        return schema
+    made: dict[str, Any] = dict(schema)
+    for key in _MAPS:
+        if isinstance(found := made.get(key), Mapping):
+            made[key] = {name: _inside(part, change) for name, part in found.items()}
+    for key in _LISTS:
+        if isinstance(found := made.get(key), list | tuple):
+            made[key] = [_inside(part, change) for part in found]
+    for key in _ONES:
+        if key in made:
+            made[key] = _inside(made[key], change)
+    return change(made)
 
 
 def _hoisted(schema: dict[str, Any], around: Any) -> dict[str, Any]:
     """Put a schema into another one, with its definitions where its references look for them."""
-    inner = {name: part for name, part in schema.items() if name not in {"$defs", "$schema"}}
-    made: dict[str, Any] = around(inner)
+    inner = {name: part for name, part in schema.items() if name not in {"$defs", *_NAMED}}
+    if _refers_elsewhere(schema):
+        # All of it becomes a definition, in which references look below that.
+        moved = _inside({**inner, "$defs": schema.get("$defs", {})}, _moved)
+        made: dict[str, Any] = around({"$ref": _PLACE})
+        return {**made, "$defs": {_WHOLE: moved}}
+    made = around(inner)
     return {**made, "$defs": schema["$defs"]} if "$defs" in schema else made
+
+
+def _refers_elsewhere(schema: dict[str, Any]) -> bool:
+    """Say whether references in it are to other places of it than definitions."""
+    found: list[str] = []
+
+    def note(part: dict[str, Any]) -> dict[str, Any]:
+        found.append(part.get("$ref", ""))
+        return part
+
+    _inside(schema, note)
+    return any(place and not place.startswith("#/$defs/") for place in found)
+
+
+def _moved(schema: dict[str, Any]) -> dict[str, Any]:
+    place = schema.get("$ref", "")
+    if place == "#" or place.startswith("#/"):
+        return {**schema, "$ref": f"{_PLACE}{place[1:]}"}
+    return schema
 
 
 def _plain(value: Any) -> Any:

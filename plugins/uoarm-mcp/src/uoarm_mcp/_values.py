@@ -8,6 +8,7 @@ import secrets
 import statistics
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import orjson
@@ -120,7 +121,7 @@ class KeptValues:
                 else {"text": value[:_LONG_TEXT], "of": len(value)}
             )
         if isinstance(value, bool | int | float) or value is None:
-            return value
+            return _as_text(value)
         return self._of_list(value, links, depth)
 
     def _of_list(self, value: Message, links: list[ResourceLink], depth: int) -> Any:
@@ -137,14 +138,17 @@ class KeptValues:
         if len(numbers) == len(values):
             finite = [part for part in numbers if abs(part) < float("inf")]
             if finite:
-                summary |= {
-                    "least": min(finite),
-                    "greatest": max(finite),
-                    "mean": statistics.fmean(finite),
-                }
-            return summary | {"first": numbers[:_SHOWN]}
+                summary |= {"least": _as_text(min(finite)), "greatest": _as_text(max(finite))}
+                with suppress(OverflowError):  # beyond what a float has room for
+                    summary["mean"] = statistics.fmean(finite)
+            return summary | {"first": _as_text(numbers[:_SHOWN])}
         first = [self._summary(part, [], 1) for part in values[:_SHOWN]] if depth else []
         return summary | {"first": first}
+
+
+def _as_text(value: Message) -> Any:
+    """Return numbers as they are in JSON text, where not every one is a number."""
+    return orjson.loads(TEXT_FORM.write(value))
 
 
 def _flat(value: Message) -> list[Any]:

@@ -1,0 +1,83 @@
+"""What tools answer is what they say that they answer: clients check it, after it was done."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import orjson
+import pytest
+from agents import Agents
+from jsonschema import Draft202012Validator
+from mcp_types import CallToolResult
+from uoarm_mcp._schemas import output_schema, read_output
+from uoarm_mcp._values import KeptValues, succeeded
+
+from uoarm.model import MessageStructure
+from uoarm.server.front_end import TEXT_FORM
+
+NUMBER = {"type": "number"}
+ANSWERS: list[tuple[Any, Any]] = [
+    (NUMBER, math.nan),
+    (NUMBER, -math.inf),
+    (NUMBER, 2**60),
+    ({"type": "number", "minimum": 0, "maximum": 1, "x-nonfinite": True}, math.inf),
+    ({"type": ["number", "null"]}, math.nan),
+    ({"type": ["integer", "null"]}, 2**60),
+    ({"type": "integer", "maximum": 2**70}, 2**70),
+    ({"type": "integer", "minimum": 0, "maximum": 2**64 - 1}, 2**64 - 1),
+    ({"enum": [1, 2**60]}, 2**60),
+    ({"type": "integer", "const": 2**60}, 2**60),
+    ({"type": "array", "items": {"x-octets": True, "type": "array"}}, [b"ab"]),
+    (
+        {"properties": {"a": {"$ref": "#/definitions/n"}}, "definitions": {"n": NUMBER}},
+        {"a": 2**60},
+    ),
+    ({"properties": {"a": {"$ref": "#/$defs/n"}}, "$defs": {"n": NUMBER}}, {"a": math.inf}),
+    ({"properties": {"a": NUMBER, "b": {"$ref": "#/properties/a"}}}, {"b": math.nan}),
+    ({"$id": "http://x/y", "properties": {"a": {"$ref": "#/$defs/n"}}, "$defs": {"n": NUMBER}}, {}),
+    (
+        {"type": "object", "properties": {"kids": {"items": {"$ref": "#"}}}},
+        {"kids": [{"kids": []}]},
+    ),
+    ({"additionalProperties": {"anyOf": [NUMBER, {"type": "null"}]}}, {"a": math.nan}),
+]
+
+
+@pytest.mark.parametrize(("schema", "message"), ANSWERS)
+def test_every_message_of_a_structure_is_an_answer(schema: Any, message: Any) -> None:
+    structure, said = MessageStructure(schema), orjson.loads(TEXT_FORM.write(message))
+    Draft202012Validator(output_schema(structure)).validate({"state": "x", "result": said})
+    Draft202012Validator(read_output(structure)).validate({"messages": [said]})
+
+
+@pytest.mark.parametrize(
+    ("schema", "said"),
+    [
+        (NUMBER, "many"),
+        ({"type": "integer", "minimum": 0, "maximum": 9}, "3"),
+        ({"type": "object", "properties": {"kids": {"items": {"$ref": "#"}}}}, {"kids": [1]}),
+        ({"enum": [1, 2**60]}, 2),
+    ],
+)
+def test_no_other_is(schema: Any, said: Any) -> None:
+    validator = Draft202012Validator(output_schema(MessageStructure(schema)))
+    assert not validator.is_valid({"state": "x", "result": said})
+
+
+def test_the_client_takes_them(agents: Agents) -> None:
+    result: CallToolResult = agents.call("odd", {"number": 1})
+    answer: Any = result.structured_content
+    inner = [{"number": "-Infinity"}]
+    assert answer["result"] == {"number": "NaN", "most": str(2**70), "inner": inner}
+
+
+def test_numbers_of_a_summary_are_as_in_the_message() -> None:
+    class Account:
+        def charge(self, *_: object) -> None:
+            """Anything goes."""
+
+    rendered = KeptValues(Account()).render({"n": math.nan, "all": [2**70, *[1] * 20_000]})  # type: ignore[arg-type]
+    assert rendered.value["n"] == "NaN"
+    assert rendered.value["all"]["first"] == [str(2**70), 1, 1]
+    assert succeeded({"summary": rendered.value}).structured_content
