@@ -85,3 +85,27 @@ def test_a_command_within_a_program_gives_standard_output_back(
         main(["call", "add", '{"a": 2}'])
     os.write(1, b"the program goes on\n")
     assert capfd.readouterr().out.endswith("the program goes on\n")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("words", [COMMANDS[1], COMMANDS[4], COMMANDS[5]], ids=" ".join)
+def test_a_command_runs_where_standard_streams_are_closed(
+    words: tuple[str, ...], closed: str, folder: Path
+) -> None:
+    """What it opens then has their numbers: nothing is printed into that."""
+    written = folder / "written"
+    command = f'exec "$@" {closed} {"" if ">&-" in closed.split() else ">written"}'
+    done = subprocess.run(
+        ["/bin/sh", "-c", command, "sh", sys.executable, "-m", "uoarm", *words],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        timeout=2 * patience(),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert not written.exists() or written.read_text()
+    if "record" in words:
+        assert (folder / "run.mcap").read_bytes()[:5] == b"\x89MCAP"
