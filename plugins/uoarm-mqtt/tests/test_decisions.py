@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import threading
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from jsonschema import Draft202012Validator
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
-from uoarm_mqtt._codec import PayloadCodec
+from uoarm_mqtt._codec import PayloadCodec, with_topic, without_topic
 from uoarm_mqtt._link import ThreadedClient
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
@@ -110,3 +112,32 @@ def test_check_knows_without_a_broker_which_structures_must_be_written(
     where = "services" if role is Role.SERVICE else "structures"
     assert bool(description.hint) is not is_known
     assert is_known or f"under `{where}` of the bridge's options" in description.hint
+
+
+OCTETS = {"type": "array", "x-octets": True}
+REFERRING: list[dict[str, Any]] = [
+    {"properties": {"a": OCTETS, "kids": {"type": "array", "items": {"$ref": "#"}}}},
+    {"properties": {"a": {"$ref": "#/properties/b"}, "b": OCTETS, "kids": True}},
+    {"properties": {"a": {"$ref": "#/$defs/o~1p%20q"}, "kids": True}, "$defs": {"o/p q": OCTETS}},
+    {"properties": {"a": {"$ref": "#/definitions/o"}, "kids": True}, "definitions": {"o": OCTETS}},
+    {
+        "$id": "x:y",
+        "properties": {"a": {"$ref": "#/$defs/o"}, "$ref": True},
+        "$defs": {"o": OCTETS},
+    },
+]
+
+
+@pytest.mark.parametrize("schema", REFERRING)
+def test_references_mean_the_same_where_the_topic_is_said(schema: dict[str, Any]) -> None:
+    inner = {"type": "object", "required": ["a"], "additionalProperties": True, **schema}
+    both = with_topic(MessageStructure(inner))
+    said = {"a": [1, 2], "kids": [{"a": [3]}]}
+    validator = Draft202012Validator(both.schema)
+    assert validator.is_valid({"topic": "t", "message": said})
+    assert not validator.is_valid({"topic": "t", "message": {"a": "ab"}})
+    codec = PayloadCodec.of("json", without_topic(both.schema), Budget())
+    read: Any = codec.decode(b'{"a": "AQI=", "kids": [{"a": "Aw=="}]}')
+    assert read["a"] == b"\1\2"
+    if "items" in str(schema):
+        assert read["kids"] == [{"a": b"\3"}]
