@@ -19,8 +19,9 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from attrs import frozen
+from tests.harness import SPARE_WORKERS
 from tests.harness._delays import DELAYS
-from tests.harness._needs import NEEDS, missing
+from tests.harness._needs import NEEDS, PLACES, missing
 
 ROOT = Path(__file__).parents[1]
 REPORTS = ROOT / "build" / "tests"
@@ -50,6 +51,7 @@ class Tier:
         needs: without which none of it can be run.
         is_long: whether it takes long, and is run only where it is asked for.
         is_late: whether its threads begin late and go on late, as on a busy machine.
+        is_waiting: whether its tests wait for peers for more than half of their time.
     """
 
     name: str
@@ -58,6 +60,12 @@ class Tier:
     needs: tuple[str, ...] = ()
     is_long: bool = False
     is_late: bool = False
+    is_waiting: bool = False
+
+    @property
+    def workers(self) -> str:
+        """Return how many tests run at once, as pytest-xdist takes it."""
+        return str((os.cpu_count() or 1) + SPARE_WORKERS) if self.is_waiting else "auto"
 
     @property
     def variables(self) -> dict[str, str]:
@@ -79,10 +87,11 @@ TIERS = (
             f"plugins/uoarm-{name}",
             (f"plugins/uoarm-{name}/tests", "-m", "not long"),
             (name,),
+            is_waiting=True,
         )
         for name in PLUGINS
     ),
-    Tier("programs", "browser, Node.js, vision, the examples", ("tests", "-m", PROGRAMS)),
+    Tier("programs", "browser, Node.js, vision, the examples", (*PLACES, "-m", PROGRAMS)),
     Tier("long-core", "the core, its properties at length", ("tests", "-m", LONG), is_long=True),
     Tier(
         "late-core",
@@ -91,7 +100,7 @@ TIERS = (
         is_long=True,
         is_late=True,
     ),
-    Tier("long-programs", "the programs at length", ("tests", "-m", LONG_PROGRAMS), is_long=True),
+    Tier("long-programs", "the programs at length", (*PLACES, "-m", LONG_PROGRAMS), is_long=True),
     *(
         Tier(
             f"long-{name}",
@@ -99,6 +108,7 @@ TIERS = (
             (f"plugins/uoarm-{name}/tests",),
             (name,),
             is_long=True,
+            is_waiting=True,
         )
         for name in PLUGINS
     ),
@@ -136,10 +146,10 @@ def run(tier: Tier) -> Outcome:
         return Outcome(tier, Counter(), 0.0, bool(must), reasons)
     report = REPORTS / f"{tier.name}.xml"
     report.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml", "--rootdir=.", "-n", "auto"]
+    command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml", "--rootdir=."]
     begin = time.monotonic()
     done = subprocess.run(
-        [*command, f"--junitxml={report}", *tier.arguments],
+        [*command, f"-n={tier.workers}", f"--junitxml={report}", *tier.arguments],
         cwd=ROOT,
         env={**os.environ, **tier.variables},
         check=False,

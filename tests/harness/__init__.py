@@ -105,8 +105,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         path = _path(config, module)
         named = {"keeps": _needs.kept_by_module(path), "needs": _needs.of_module(path)}
         marks = [getattr(pytest.mark, name)(*given) for name, given in named.items() if given]
-        for item, mark in itertools.product(found, marks):
+        tests = list(found)
+        for item, mark in itertools.product(tests, marks):
             item.add_marker(mark)
+        if _needs.is_astray(path) and any(item.get_closest_marker("needs") for item in tests):
+            raise pytest.UsageError(f"{path} needs something, and is in none of {_needs.PLACES}")
     if seed := os.environ.get(ORDER):
         stand = iter([item for item in items if _is_together(item)])
         random.Random(seed).shuffle(items)

@@ -167,6 +167,18 @@ MODULES = {
 """What a whole module needs, also for being imported."""
 
 
+PLACES = (
+    "tests/cli",
+    "tests/environments",
+    "tests/examples",
+    "tests/packaging",
+    "tests/record",
+    "tests/server",
+    "tests/test_clock_steps.py",
+)
+"""Where tests of the core are that need something: the others are not imported to look for them."""
+
+
 KEEPS = {
     # DDS keeps sockets, and the ORB connections and threads, for what comes next.
     "plugins/uoarm-ros2/tests/*": ("descriptor",),
@@ -183,6 +195,11 @@ def kept_by_module(path: str) -> tuple[str, ...]:
 def of_module(path: str) -> tuple[str, ...]:
     """Return what a module needs, by its path from the root of the repository."""
     return next((needs for pattern, needs in MODULES.items() if fnmatch(path, pattern)), ())
+
+
+def is_astray(path: str) -> bool:
+    """Whether no tier looks for tests that need something in a module."""
+    return path.startswith("tests/") and not path.startswith(PLACES)
 
 
 @cache
