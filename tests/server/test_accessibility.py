@@ -5,7 +5,6 @@ npm brings axe-core, unless UOARM_AXE names a folder in which `npm install axe-c
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shutil
@@ -14,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.harness._shared import made_once
 from tests.server.browser import Browser, says
 from tests.server.conftest import Connect, Visit
 from tests.server.shown import END, SHOWN, front
@@ -54,22 +54,18 @@ def robot() -> Iterator[RobotManager]:
 
 @pytest.fixture(scope="session")
 def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return the source of axe-core, which the first worker to need it fetches for all."""
-    given, own = os.environ.get("UOARM_AXE"), tmp_path_factory.getbasetemp()
-    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
-    folder = Path(given) if given else shared / "axe"
-    source = folder / "node_modules/axe-core/axe.min.js"
-    if not given:
-        if shutil.which("npm") is None:
-            pytest.skip("needs npm: apt install npm")
-        folder.mkdir(exist_ok=True)
-        options = ["--prefix", str(folder), "--no-audit", "--no-fund", "--ignore-scripts"]
-        with (folder / "lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            install = ["npm", "install", *options, "--silent", "axe-core@4"]
-            if not source.exists() and subprocess.run(install, check=False).returncode:
-                pytest.skip("npm cannot fetch axe-core")
-    return source.read_text(encoding="utf-8")
+    """Return the source of axe-core."""
+    given = os.environ.get("UOARM_AXE")
+    folder = Path(given) if given else made_once(tmp_path_factory, "axe", _fetch)
+    return (folder / "node_modules/axe-core/axe.min.js").read_text(encoding="utf-8")
+
+
+def _fetch(folder: Path) -> None:
+    if shutil.which("npm") is None:
+        pytest.skip("needs npm: apt install npm")
+    options = ["--prefix", str(folder), "--no-audit", "--no-fund", "--ignore-scripts", "--silent"]
+    if subprocess.run(["npm", "install", *options, "axe-core@4"], check=False).returncode:
+        pytest.skip("npm cannot fetch axe-core")
 
 
 def findings(browser: Browser, axe: str) -> list[str]:

@@ -26,6 +26,7 @@ KINDS = {
 BOUND_OCTETS = 22  # of test_msgs/msg/Strings
 # What is not there is looked for so long; what is there may be found later on a busy machine.
 WAIT_SECONDS = slowness()
+NOWHERE_SECONDS = 0.1  # for which what is never there is looked for, so that there is a wait
 FROZEN_SECONDS = 3 * slowness()  # for which what opens waits for a frozen node
 SILENT_SECONDS = 3.0
 CUT_SHORT = b"\0\1\0\0\1\2\3"  # serialised, little endian: three octets of a field
@@ -80,7 +81,7 @@ class RosWorld(World):
         )
 
     def missing(self) -> Endpoint:
-        return at(Role.OUTPUT, "/nowhere", "std_msgs/msg/Int64")
+        return at(Role.OUTPUT, "/nowhere", "std_msgs/msg/Int64", wait=NOWHERE_SECONDS)
 
     def await_receivers(self, kind: str, count: int) -> None:
         """DDS reports readers to a writer, and to a reader nothing of what its writers know."""

@@ -12,14 +12,21 @@ import pytest
 from peers import Peer
 
 from uoarm.cli import main
-from uoarm.testing import wait
+from uoarm.model import BridgeSpec, Options
+from uoarm.testing import slowness, wait
 
 Run = Callable[..., Any]
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Runs a command; returns its status, its output (of --json as values), its errors."""
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Runs a command; returns its status, its output (of --json as values), its errors.
+
+    A graph counts as formed after a second: what is there is looked for again and again.
+    """
+
+    def spec(name: str, plugin: str, options: Options) -> BridgeSpec:
+        return BridgeSpec(name, plugin, {"wait": slowness(), **options})
 
     def run_it(*words: str) -> tuple[int, Any, str]:
         try:
@@ -30,6 +37,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
         is_json = "--json" in words and not status
         return status, json.loads(printed.out) if is_json else printed.out, printed.err
 
+    monkeypatch.setattr("uoarm_ros2.__main__.BridgeSpec", spec)
     return run_it
 
 
@@ -42,12 +50,15 @@ def test_nodes_types_and_structures_are_shown(run: Run, peer: Callable[..., Peer
         return status == 0 and {"node": "/talker", "endpoints": [numbers]} in rows
 
     wait(listed)
-    assert "  output  /numbers  std_msgs/msg/Int64" in run("list")[1].splitlines()
+    wait(lambda: "  output  /numbers  std_msgs/msg/Int64" in run("list")[1].splitlines())
     known = {"type": "std_msgs/msg/Int64", "known": "installed", "nodes": ["/talker"]}
-    assert known in run("types", "--json")[1]
-    status, found, _ = run("echo-structure", "/numbers", "--json")
-    assert status == 0
-    assert found["message"]["structure"]["properties"]["data"]["maximum"] == 2**63 - 1
+    wait(lambda: known in run("types", "--json")[1])
+
+    def most() -> int:
+        status, found, _ = run("echo-structure", "/numbers", "--json")
+        return 0 if status else found["message"]["structure"]["properties"]["data"]["maximum"]
+
+    wait(lambda: most() == 2**63 - 1)
 
 
 def test_why_types_are_not_known_is_said_once_for_all_nodes_that_talk_them(
@@ -64,8 +75,14 @@ def test_why_types_are_not_known_is_said_once_for_all_nodes_that_talk_them(
         lines: list[str] = run("list")[1].splitlines()
         return lines if len(re.findall("structure unknown", "\n".join(lines))) == 4 else []
 
-    wait(listed)
-    lines = listed()
+    looks: list[list[str]] = []
+
+    def is_listed() -> bool:
+        looks.append(listed())
+        return bool(looks[-1])
+
+    wait(is_listed)
+    lines = looks[-1]
     assert "  service /left/one  test_msgs/srv/BasicTypes  (structure unknown)" in lines
     for kind in ("action", "srv"):
         assert sum(f"package 'test_msgs.{kind}' cannot" in line for line in lines) <= 1

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from peers import own_line
+from tests.harness._shared import made_once  # type: ignore[import-not-found]
 
 from uoarm.testing import patience, wait
 
@@ -27,15 +28,19 @@ def example(tmp_path: Path) -> Path:
     return copied
 
 
-@pytest.fixture
-def interfaces(tmp_path: Path) -> Path:
+@pytest.fixture(scope="session")
+def interfaces(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the action's type, built and installed as the page says."""
-    wheels, target = tmp_path / "wheels", tmp_path / "target"
+    made: Path = made_once(tmp_path_factory, "interfaces", _build_and_install)
+    return made / "target"
+
+
+def _build_and_install(folder: Path) -> None:
+    wheels, target = folder / "wheels", folder / "target"
     build = ["-m", "uoarm", "ros2", "build-interfaces", str(SOURCE / "interfaces")]
     subprocess.run([sys.executable, *build, "--output", str(wheels)], check=True)
     pip = ["-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", str(target)]
     subprocess.run([sys.executable, *pip, *map(str, wheels.glob("*.whl"))], check=True)
-    return target
 
 
 @pytest.fixture
