@@ -16,6 +16,7 @@ from attrs import field, frozen
 
 from uoarm._encodable import printable
 from uoarm._plugins import hookimpl, hookspec
+from uoarm._support.user_paths import expanded, user_folder
 from uoarm.errors import CommandLineError
 
 __all__ = [
@@ -28,8 +29,10 @@ __all__ = [
     "DefinitionFormat",
     "DefinitionHooks",
     "Definitions",
+    "expanded",
     "hookimpl",
     "printable",
+    "user_folder",
 ]
 
 CONTRACT_VERSION = 1

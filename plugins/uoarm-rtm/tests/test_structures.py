@@ -7,6 +7,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+import tempfile
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -186,6 +187,22 @@ def test_a_text_finds_what_it_includes_in_the_folder_of_its_file(
         options = Registry().types["rtm"].value_of(spec.options, spec.folder)
         types = Types(options.idl_sources, options.text, options.idl_folder)
         assert types.codec("Mine::M").encode({"p": {"x": 1}}) == octets
+
+
+@pytest.mark.parametrize("place", ["/dev/null", "~no_user_of_this_name"])
+def test_idl_is_compiled_also_where_it_cannot_be_kept(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path, place: str
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", place)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    kind = "long" if place == "/dev/null" else "short"
+    assert load_idl(f"module Unkept {{ struct One {{ {kind} a; }}; }};").scopes
+    assert "compiled IDL cannot be kept: " in caplog.text
+    assert "XDG_CACHE_HOME" in caplog.text
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(tempfile, "tempdir", "/dev/null")
+    with pytest.raises(BridgeError, match="nor can it be written elsewhere"):
+        load_idl(f"module Unkept {{ struct Two {{ {kind} a; }}; }};")
 
 
 def test_compiling_waits_for_no_import_of_ours(

@@ -12,6 +12,7 @@ from typing import Any
 from attrs import field, frozen
 
 from uoarm._support.files import UnreadableFileError, read_text
+from uoarm._support.user_paths import expanded
 from uoarm.environments import environment_folder
 from uoarm.errors import ConfigurationError, PluginError
 from uoarm.model import (
@@ -97,7 +98,7 @@ def _environment(host: Options) -> tuple[str, Path | None]:
             return name, None
     if "python" in host:
         python = str(host["python"])
-        return python, Path(python).expanduser().parent.parent
+        return python, expanded(python).parent.parent
     return "", None
 
 

@@ -7,7 +7,6 @@ to none.
 from __future__ import annotations
 
 import json
-import os
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -23,6 +22,7 @@ from uoarm._mistakes import Speller, certainly_matches, mistakes
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, cause_of, hookspec, installed, values_of
 from uoarm._support import deadlines
+from uoarm._support.user_paths import expanded
 from uoarm._support.yaml import write_path
 from uoarm.bridge._border import translated
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
@@ -154,7 +154,7 @@ def _located(schema: Any, value: Any, folder: str) -> Any:
     if isinstance(value, str) and value:
         mark = schema.get(_PATH, False)
         is_path = re.fullmatch(mark, value) if isinstance(mark, str) else mark
-        return str(Path(folder, os.path.expanduser(value))) if is_path else value  # noqa: PTH111
+        return str(Path(folder, expanded(value))) if is_path else value
     if isinstance(value, Mapping):
         known, others = schema.get("properties", {}), schema.get("additionalProperties")
         left_out = {

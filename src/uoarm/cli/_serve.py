@@ -21,6 +21,7 @@ import click
 from uoarm import RobotManager
 from uoarm._forks import default_in_children
 from uoarm._support.files import stamp_of
+from uoarm._support.user_paths import user_folder
 from uoarm._support.yaml import write_flow
 from uoarm._version import __version__
 from uoarm.cli._announce import Announcement
@@ -257,10 +258,8 @@ _KEYWORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "
 
 def stop_file_of(configuration: str) -> Path:
     """Return where it is kept that the robot of a configuration file is stopped."""
-    with reporting(), needing("server"):
-        from uoarm.server.http import state_folder  # noqa: PLC0415 - an extra, and slow
     path = str(Path(configuration).resolve())
-    return state_folder() / "stopped" / hashlib.sha256(path.encode()).hexdigest()[:32]
+    return user_folder("state") / "stopped" / hashlib.sha256(path.encode()).hexdigest()[:32]
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import Any
 
 from attrs import evolve
 
+from uoarm._support.user_paths import expanded
 from uoarm.model import (
     BridgeSpec,
     CommandPolicy,
@@ -97,7 +98,7 @@ def folder_of(origin: str) -> str:
 
 
 def _located(path: str, origin: str) -> str:
-    return str(FilePath(folder_of(origin), FilePath(path).expanduser()))
+    return str(FilePath(folder_of(origin), expanded(path)))
 
 
 def _ports(component: Mapping[str, Any], single: str, several: str) -> dict[str, Any]:

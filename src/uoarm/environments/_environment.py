@@ -13,6 +13,7 @@ from pathlib import Path
 
 from attrs import field, frozen
 
+from uoarm._support.user_paths import expanded, user_folder
 from uoarm._version import __version__
 from uoarm.errors import PluginError
 
@@ -80,7 +81,7 @@ def find_interpreter(environment: str | None = None, python: str | None = None) 
         found = environment_python(environment)
         hint = f"make it: uoarm env create {environment} --plugin ..."
     elif python is not None:
-        found, hint = Path(python).expanduser(), "check the path under `python`"
+        found, hint = expanded(python), "check the path under `python`"
     else:
         return Path(sys.executable), ""
     return found, "" if os.access(found, os.X_OK) else hint
@@ -159,8 +160,7 @@ def _home() -> Path:
     home = os.environ.get("UOARM_HOME")
     if home:
         return Path(home) / "environments"
-    data = os.environ.get("XDG_DATA_HOME") or "~/.local/share"
-    return Path(data).expanduser() / "uoarm" / "environments"
+    return user_folder("data") / "environments"
 
 
 def _read(folder: Path) -> Environment:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 from attrs import field, frozen
 
 from uoarm._support.tls import server_context
+from uoarm._support.user_paths import user_folder
 from uoarm.errors import ConfigurationError
 from uoarm.model import is_loopback
 from uoarm.server._limits import Limits
-from uoarm.server.http import own_certificate, state_folder
+from uoarm.server.http import own_certificate
 
 if TYPE_CHECKING:
     import ssl
@@ -105,7 +106,7 @@ class ServerOptions:
     @property
     def recordings_folder(self) -> Path:
         """Where files go that clients record."""
-        return self.recordings or state_folder() / "recordings"
+        return self.recordings or user_folder("state") / "recordings"
 
     @property
     def secured(self) -> bool:
@@ -121,7 +122,7 @@ class ServerOptions:
         if not self.own_certificate:
             return self.certificate
         names = self.hosts if self.everywhere else (self.host, *self.hosts)
-        return own_certificate(state_folder() / "tls", names)
+        return own_certificate(user_folder("state") / "tls", names)
 
     def tls(self) -> ssl.SSLContext | None:
         """Return the TLS context, None without a certificate.

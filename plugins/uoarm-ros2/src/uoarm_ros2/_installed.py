@@ -16,6 +16,7 @@ from attrs import frozen
 
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.model import MessageStructure
+from uoarm.plugins import expanded
 from uoarm_ros2._options import TF_MESSAGE, Ros2BridgeOptions
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._types import (
@@ -187,7 +188,7 @@ def doubts(
     found: dict[tuple[str, ...], str] = {}
     try:
         for folder in options.definitions:
-            reading.take(Path(folder).expanduser())
+            reading.take(expanded(folder))
     except ConfigurationError as error:
         found[()] = str(error)
     reading.leave_out_twice()

@@ -11,13 +11,13 @@ import re
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from attrs import define, evolve, field
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message
+from uoarm.plugins import expanded
 from uoarm_ros2._middleware import Peer, untyped_class
 from uoarm_ros2._options import TF_MESSAGE
 from uoarm_ros2._types import (
@@ -142,7 +142,7 @@ class DefinedTypes:
         self._reading: DefinitionReader | None = None
         for folder in folders:
             self._reading = self._reading or DefinitionReader(_installed)
-            self._reading.take(Path(folder).expanduser().absolute())
+            self._reading.take(expanded(folder).absolute())
         if self._reading is not None:
             self._reading.leave_out_twice()
 

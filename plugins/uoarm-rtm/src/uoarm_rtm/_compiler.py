@@ -12,6 +12,7 @@ import hashlib
 import importlib
 import importlib.metadata
 import json
+import logging
 import os
 import re
 import shutil
@@ -26,8 +27,10 @@ from types import ModuleType
 
 from attrs import field, frozen
 
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UsageError
+from uoarm.plugins import expanded, user_folder
 
+_log = logging.getLogger("uoarm.rtm")
 OUR_IDL = Path(__file__).parent / "idl"
 
 _LIMIT_SECONDS = 20.0
@@ -133,17 +136,14 @@ def load_idl(source: str, folder: str = ".") -> Stubs:
     if "{" in source:
         text, directory, shown = source.encode(), Path(folder).absolute(), "the IDL text"
     else:
-        path = Path(source).expanduser().absolute()
+        path = expanded(source).absolute()
         text, directory, shown = _read(path), path.parent, str(path)
     key = _key(text, directory)
     package = f"uoarm_rtm_idl_{key}"
     with _loading:
         stubs = _loaded.get(package)
         if stubs is None:
-            kept = _cache() / key
-            if not kept.is_dir():
-                _compile(text, directory, package, kept, shown)
-            stubs = _loaded[package] = _import(package, kept)
+            stubs = _loaded[package] = _stubs(text, directory, package, key, shown)
         return stubs
 
 
@@ -177,18 +177,22 @@ def _key(text: bytes, directory: Path) -> str:
     return digest.hexdigest()[:24]
 
 
-def _cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(base).expanduser() / "uoarm" / "rtm"
-
-
-def _compile(text: bytes, directory: Path, package: str, folder: Path, shown: str) -> None:
+def _stubs(text: bytes, directory: Path, package: str, key: str, shown: str) -> Stubs:
+    """Return stubs from the cache, or compile them into it; without it they are kept nowhere."""
     try:
-        folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix="compiling-", dir=folder.parent))
-    except OSError as error:
-        reason = f"the cache of compiled IDL cannot be written: {error}"
-        raise BridgeError(reason, FailureReason.UNAVAILABLE) from error
+        cache = user_folder("cache") / "rtm"
+        if (cache / key).is_dir():
+            return _import(package, cache / key)
+        cache.mkdir(mode=0o700, parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix="compiling-", dir=cache))
+    except (OSError, UsageError) as error:
+        why = f"compiled IDL cannot be kept: {error}"
+        _log.warning("%s; XDG_CACHE_HOME names another folder for it", why)
+        try:
+            work = cache = Path(tempfile.mkdtemp(prefix="uoarm-rtm-"))
+        except OSError as another:
+            reason = f"{why}; nor can it be written elsewhere: {another}"
+            raise BridgeError(reason, FailureReason.UNAVAILABLE) from another
     try:
         (work / _MAIN).write_bytes(text)
         (work / package).mkdir()
@@ -200,11 +204,12 @@ def _compile(text: bytes, directory: Path, package: str, folder: Path, shown: st
             names=work / package / _NAMES,
         )
         with contextlib.suppress(OSError):  # another process was faster
-            (work / package).rename(folder)
+            (work / package).rename(cache / key)
+        return _import(package, cache / key)
     except BridgeError as error:
         raise BridgeError(str(error).replace(str(work / _MAIN), shown), error.reason) from None
     except OSError as error:
-        reason = f"the cache of compiled IDL cannot be written: {error}"
+        reason = f"compiled IDL cannot be written: {error}"
         raise BridgeError(reason, FailureReason.UNAVAILABLE) from error
     finally:
         shutil.rmtree(work, ignore_errors=True)

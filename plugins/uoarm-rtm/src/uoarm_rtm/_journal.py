@@ -32,7 +32,8 @@ from attrs import frozen
 from omniORB import CORBA
 
 from uoarm.bridge import at_exit
-from uoarm.errors import BridgeError
+from uoarm.errors import BridgeError, UsageError
+from uoarm.plugins import user_folder
 from uoarm_rtm._orb import Orb, calls, limit
 
 _MOST_OCTETS = 1 << 16
@@ -63,14 +64,14 @@ class Journal:
     Where they cannot be written, that is logged once and connections are made all the same.
 
     Args:
-        base: folder of all processes of this user.
+        base: folder of all processes of this user; None: there is none.
     """
 
-    def __init__(self, base: Path) -> None:
-        self._base = base
+    def __init__(self, base: Path | None) -> None:
+        self._base = base or Path(os.devnull)  # below which nothing is, and nothing can be made
         self.token = secrets.token_hex(8)
         self._lock: int | None = None
-        self._broken = False
+        self._broken = base is None
         # Guards the making of our folder and files, and `_broken`: any thread may connect.
         self._guard = threading.Lock()
         # Held while the lock of another process's folder is tried, from other threads of this one:
@@ -201,10 +202,16 @@ class _Process:
         """Return the journal of this process; a child that is forked begins one of its own."""
         with self._guard:
             if self._journal is None:
-                base = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-                self._journal = Journal(Path(base).expanduser() / "uoarm" / "rtm")
+                self._journal = Journal(self._folder())
                 at_exit(self._journal.close)
             return self._journal
+
+    def _folder(self) -> Path | None:
+        try:
+            return user_folder("state") / "rtm"
+        except UsageError as error:
+            _log.warning("connections cannot be noted: a kill would leave them behind: %s", error)
+            return None
 
     def forget(self) -> None:
         self.__init__()  # type: ignore[misc]  # in a child, where no other thread is

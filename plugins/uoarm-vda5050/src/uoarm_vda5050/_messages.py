@@ -17,6 +17,7 @@ from uoarm_mqtt.connection import PayloadCodec
 from uoarm.bridge import text_of
 from uoarm.errors import ConfigurationError, MessageError
 from uoarm.model import Budget, Message, MessageStructure, Schema, read_json
+from uoarm.plugins import expanded
 from uoarm_vda5050._releases import HEADER, TOPICS, VdaRelease, body_of
 
 HEADER_OCTETS = 320
@@ -174,7 +175,7 @@ def read_published(folder: str, release: VdaRelease) -> dict[str, Any]:
         ConfigurationError: the folder has none, or one of its files is no JSON Schema; the text
             names the file and the line, and says what to do.
     """
-    place = Path(folder).expanduser()
+    place = expanded(folder)
     found: dict[str, Any] = {}
     for topic in TOPICS:
         for ending in ("schema", "json"):

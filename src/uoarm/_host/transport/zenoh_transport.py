@@ -34,6 +34,7 @@ from uoarm._host.transport.transport import (
     answer_to,
     read_answer,
 )
+from uoarm._support.user_paths import expanded
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
 MANAGER = "manager"
@@ -76,7 +77,7 @@ class Identity:
         Raises:
             BridgeError: one of them is missing, or others than its owner may read the key.
         """
-        home = Path(folder).expanduser()
+        home = expanded(folder)
         found = cls(home / "ca.pem", home / f"{name}.pem", home / f"{name}.key")
         for file in (found.authority, found.certificate, found.key):
             if not file.is_file():
@@ -104,7 +105,7 @@ class Identity:
 
 def certified(folder: str | Path) -> frozenset[str]:
     """Return the machines whose certificates are in a folder, a thousand at most."""
-    found = sorted(file.stem for file in Path(folder).expanduser().glob("*.pem"))
+    found = sorted(file.stem for file in expanded(folder).glob("*.pem"))
     # A name becomes part of a key, where `*` and `/` would open the keys of other machines.
     names = [name for name in found if name not in {_AUTHORITY, MANAGER} and _NAME.fullmatch(name)]
     return frozenset(names[:_MOST_CERTIFIED])

@@ -9,7 +9,6 @@ from uoarm.server.http._listener import (
     fingerprint_of,
     listen,
     own_certificate,
-    state_folder,
 )
 from uoarm.server.http._metrics import Metrics, Totals
 
@@ -26,5 +25,4 @@ __all__ = [
     "fingerprint_of",
     "listen",
     "own_certificate",
-    "state_folder",
 ]

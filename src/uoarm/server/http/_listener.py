@@ -171,12 +171,6 @@ _EARLIER = timedelta(hours=1)
 _ALWAYS = ("localhost", "127.0.0.1", "::1")
 
 
-def state_folder() -> Path:
-    """Return where this user's programs keep what they must find again."""
-    state = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-    return Path(state).expanduser() / "uoarm"
-
-
 def own_certificate(folder: Path, names: Sequence[str], now: datetime | None = None) -> Path:
     """Return a PEM file with a key and a self-signed certificate, made when there is none to use.
 
