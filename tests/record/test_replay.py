@@ -354,6 +354,46 @@ def test_what_is_not_read_is_refused_by_name(tmp_path: Path) -> None:
     made.close()
 
 
+def test_every_publisher_of_a_topic_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "made-of-a-bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1")
+        schema = writer.register_schema("std_msgs/Int32", "ros1msg", b"int32 data\n")
+        other = writer.register_schema("std_msgs/Int8", "ros1msg", b"int8 data\n")
+        left, right = (
+            writer.register_channel("/n", "ros1", schema, {"callerid": name}) for name in ("l", "r")
+        )
+        stray = writer.register_channel("/n", "ros1", other, {"callerid": "l"})
+        for n in range(6):
+            writer.add_message((left, right)[n % 2], n, n.to_bytes(4, "little"), n)
+        writer.add_message(stray, 9, b"\1", 9)
+        writer.finish()  # type: ignore[no-untyped-call]  # of mcap
+    assert played(path, "/n", 6) == [{"data": n} for n in range(6)]
+    assert McapReader(path).notes == ["/n has another channel of another kind, which is not read"]
+
+
+@pytest.mark.parametrize(
+    "schema", ['{"type": "frob"}', '{"properties": {"a": {"minimum": "b"}}}', "[]", "{"]
+)
+def test_a_schema_that_is_none_is_refused_and_not_met_by_a_message(
+    tmp_path: Path, schema: str
+) -> None:
+    path = tmp_path / "odd.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel(
+            "/a", "json", writer.register_schema("Odd", "jsonschema", schema.encode())
+        )
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()  # type: ignore[no-untyped-call]  # of mcap
+    made = RecordingBridge("tape", PlaybackOptions.of({"file": str(path)}))
+    with pytest.raises(BridgeError, match="channel /a: its schema 'Odd': "):
+        made.describe(Endpoint("tape", "x", Role.OUTPUT, ("/a",)))
+    made.close()
+
+
 @pytest.mark.parametrize("cut", [1, 30, 300, 1000])
 def test_the_readable_part_of_a_cut_file_is_read_and_the_rest_named(
     tmp_path: Path, cut: int

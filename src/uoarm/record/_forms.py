@@ -238,7 +238,7 @@ def reading_of(channel: FileChannel) -> ChannelReading:
             )
         if channel.encoding == "json" and channel.schema_encoding in {"jsonschema", ""}:
             if stated is None and channel.schema_encoding:
-                schema = _logical(_parsed(channel.schema_data))
+                schema = _logical(_sound(_parsed(channel.schema_data)))
                 stated = MessageStructure(schema, native_type=channel.schema_name)
             return ChannelReading(stated, _json_reader(stated))
     except (MessageError, ValueError) as error:
@@ -267,6 +267,20 @@ def _parsed(text: bytes) -> Any:
     if len(text) > _MOST_SCHEMA:
         raise ValueError(f"it has {len(text):,} octets; {_MOST_SCHEMA:,} are read")
     return read_json(text)
+
+
+def _sound(schema: Any) -> Any:
+    """Return a schema of another program's; raises ValueError where it is no JSON Schema."""
+    from jsonschema import Draft202012Validator, SchemaError  # noqa: PLC0415 - when first needed
+
+    try:
+        Draft202012Validator.check_schema(schema)
+    except SchemaError as error:
+        place = "/".join(map(str, error.absolute_path))
+        raise ValueError(f"it is no JSON Schema: {place}: {error.message:.200}") from None
+    except RecursionError:
+        raise ValueError("it is nested too deep") from None
+    return schema
 
 
 def _logical(schema: Any, depth: int = 0) -> Any:

@@ -62,6 +62,21 @@ class FileChannel:
     schema_data: bytes = b""
     metadata: Mapping[str, str] = field(factory=dict, hash=False)
 
+    def is_like(self, other: FileChannel | None) -> bool:
+        """Say whether a channel has the same topic and messages, whichever publisher's it is.
+
+        Files that were made of .bag files of ROS 1 have a channel for each publisher, which its
+        metadata name.
+        """
+        return other is not None and self.kind == other.kind
+
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """What decides how its messages are read."""
+        stated = self.metadata.get("uoarm.structure")
+        schema = self.schema_name, self.schema_encoding, self.schema_data
+        return self.topic, self.encoding, *schema, stated
+
 
 @frozen
 class StoredMessage:
@@ -172,7 +187,7 @@ class McapReader:
         held than find room: after that the order is that of the parts.
         """
         wanted = self.channels[topic]
-        ids = {number for number, channel in self._ids.items() if channel == wanted}
+        ids = {number for number, channel in self._ids.items() if channel.is_like(wanted)}
         # Of each part that was begun: its next message's time, its place, the message's, and all.
         begun: list[tuple[int, int, int, list[_Timed]]] = []
         parts = [part for part in self._parts if part.end >= since]
@@ -241,7 +256,7 @@ class McapReader:
                         if part is None:
                             continue
                         wanted = self.channels.get(topic)
-                        ids = {n for n, channel in self._ids.items() if channel == wanted}
+                        ids = {n for n, channel in self._ids.items() if channel.is_like(wanted)}
                         for time, data in self._messages_of(file, part, ids):
                             yield StoredMessage(time, data)
                     except DamageError as error:
@@ -422,7 +437,7 @@ class McapReader:
         channel = FileChannel(topic, encoding, name, kind, data, metadata)
         self._ids[number] = channel
         known = self._channels.setdefault(topic, channel)
-        if known != channel:
+        if not channel.is_like(known):
             self._note(f"{topic} has another channel of another kind, which is not read")
 
     # Reading messages.
