@@ -218,6 +218,7 @@ def test_a_bridge_that_dies_while_a_plan_opens_is_replaced_before_the_reply(
     stage = make()
     with requested(stage, monkeypatch) as (request, hang):
         stage.one.report(Health.LOST, "it was unplugged")
+        wait(lambda: stage.one.closed)  # then what it opens is refused
         hang.release()
         connection = request.result(patience())
     assert connection.plan.names == ("next", "finder")
@@ -239,6 +240,7 @@ def test_a_bridge_that_dies_while_a_plan_opens_is_why_the_request_fails_without_
     with requested(stage, monkeypatch) as (request, hang):
         monkeypatch.setattr(stage.two, "_open_source", busy)
         stage.one.report(Health.LOST, "it was unplugged")
+        wait(lambda: stage.one.closed)  # then what it opens is refused
         hang.release()
         error = request.exception(patience())
     assert isinstance(error, BridgeError)

@@ -420,8 +420,10 @@ class Unseen:
             signal.pthread_kill(self._waiter, self._number)
 
     def _is_waiting(self) -> bool:
-        frame = sys._current_frames()[self._waiter]
-        return frame.f_code is threading.Condition.wait.__code__
+        frame: FrameType | None = sys._current_frames()[self._waiter]
+        while frame is not None and frame.f_code is not threading.Condition.wait.__code__:
+            frame = frame.f_back
+        return frame is not None
 
 
 def test_a_signal_that_does_not_end_a_wait_is_noticed_all_the_same(
