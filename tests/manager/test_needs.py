@@ -229,6 +229,31 @@ def test_a_slow_bridge_delays_no_candidate_but_who_asks_waits_for_its_first_answ
         assert plan.provider.component.name == "camera@far/exact"
 
 
+def test_a_function_that_no_candidate_can_feed_waits_for_no_bridge(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(candidates, "_ASK_SECONDS", 10 * patience())
+    monkeypatch.setattr(candidates, "_GRACE_SECONDS", 10 * patience())
+    lab.lab.emitter("head", NUMBER)
+    lab.lab.loop("finder", NUMBER)
+    lab.far.may_answer.clear()
+    ends = "input: {from: camera, endpoint: [finder]}, output: {endpoint: [finder]}"
+    written = (
+        "  eye: {components: [{name: eye, bridge: lab, output: {endpoint: [head]}}]}\n"
+        f"  face: {{components: [{{name: finder, bridge: lab, {ends}}}]}}\n"
+    )
+    with lab.manager(CAMERA + written) as manager:
+        plan = manager.resolve("eye", timeout=patience())
+        with manager.request("eye", timeout=patience()) as eye:
+            assert eye.plan == plan
+        for name in ("camera", "face"):
+            with pytest.raises(BridgeTimeoutError, match="have not yet listed"):
+                manager.resolve(name, timeout=0.01)
+        lab.far.may_answer.set()
+        plan = manager.resolve("face", timeout=patience())
+        assert plan.provider.component.name == "finder"
+
+
 def test_what_is_in_use_stays_a_candidate_while_no_bridge_shows_it(lab: Lab) -> None:
     head = lab.lab.emitter("head", NUMBER)
     with lab.manager(CAMERA) as manager:

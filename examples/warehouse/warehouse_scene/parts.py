@@ -199,7 +199,6 @@ def parts_of(places: Places, robot: Path) -> list[Part]:
             "",
             _module("warehouse_orders", places.robot_url, str(places.run)),
             ready,
-            seconds=180.0,  # its first request waits until every host has started
         ),
         Part(
             "page",

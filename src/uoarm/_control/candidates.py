@@ -71,8 +71,13 @@ class CandidateWatch:
         self._discovery = Discovery(get, _KEPT_ANSWERS)
         self._step = "no bridge was asked yet"
 
-    def wait(self, timeout: float) -> float:
+    def wait(self, timeout: float, function: str | None = None) -> float:
         """Wait until the configuration in force has its candidates; at once without needs.
+
+        Args:
+            timeout: seconds.
+            function: where it is asked for alone; one that no candidate can provide or feed does
+                not wait.
 
         Returns:
             How many of the seconds are left.
@@ -80,7 +85,8 @@ class CandidateWatch:
         Raises:
             BridgeTimeoutError: it has none in time; the text says what is waited for.
         """
-        if not self._revisions.current.needs_candidates:
+        revision = self._revisions.current
+        if not revision.needs_candidates:
             return timeout
         deadline = time.monotonic() + timeout
         with self._changed:
@@ -90,6 +96,8 @@ class CandidateWatch:
                 )
                 self._thread.start()
             self._changed.notify_all()  # the thread may rest, and not know this configuration
+            if function is not None and not revision.has_needs(function):
+                return timeout
             if not self._changed.wait_for(self._is_known, timeout):
                 said = "bridges have not yet listed what components they see"
                 text = f"{said}, after {timeout:g} s: {self._step}"

@@ -50,7 +50,7 @@ class Requests:
     """Finds plans and opens connections, for any thread.
 
     Args:
-        candidates: of functions with needs; the first round of discovery is waited for.
+        candidates: of functions with needs, for which the first round of discovery is waited for.
         events: where what a callback raises is reported.
     """
 
@@ -71,8 +71,8 @@ class Requests:
 
     def resolve(self, name: str, timeout: float) -> Plan:
         """Return the plan that `open` would open; errors are those of `RobotManager.resolve`."""
-        left = self._candidates.wait(timeout)
         function = _reference(name).function
+        left = self._candidates.wait(timeout, function)
         revision = self._revisions.current
         known = self._known(function, revision)
         if known is not None:
@@ -96,7 +96,7 @@ class Requests:
     ) -> Connection[Any]:
         """Open a function's whole plan; errors are those of `RobotManager.request`."""
         wanted = _reference(name)
-        left = self._candidates.wait(timeout)
+        left = self._candidates.wait(timeout, wanted.function)
         wanted_type = self._typed(as_type, name, left)
         revision = self._revisions.current
         identity = f"c{next(self._numbers)}"

@@ -27,6 +27,7 @@ from uoarm._resolve._resolver import (
     Resolver,
     find_replacement,
     reachable_components,
+    reachable_functions,
 )
 
 __all__ = [
@@ -48,6 +49,7 @@ __all__ = [
     "find_replacement",
     "keep_candidates",
     "reachable_components",
+    "reachable_functions",
     "with_rates",
     "without_candidates",
 ]

@@ -9,7 +9,7 @@ import difflib
 import math
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 
 from attrs import frozen
 
@@ -286,15 +286,21 @@ def _refusal(producer: MessageStructure, consumer: MessageStructure) -> str:
     )
 
 
-def reachable_components(functions: Mapping[str, Function], name: str) -> frozenset[str]:
-    """Return the names of all components that a plan of a function may have."""
-    found: set[str] = set()
+def reachable_functions(functions: Mapping[str, Function], name: str) -> Iterator[Function]:
+    """Yield a function and all that may feed it, as far as they are configured."""
     seen, sought = {name}, [name]
     while sought:
         function = functions.get(sought.pop())
-        for component in () if function is None else function.components:
-            found.add(component.name)
-            sources = {port.source.function for port in component.inputs if port.source is not None}
-            sought += sources - seen
-            seen |= sources
-    return frozenset(found)
+        if function is None:
+            continue
+        yield function
+        ports = [port for component in function.components for port in component.inputs]
+        sources = {port.source.function for port in ports if port.source is not None}
+        sought += sources - seen
+        seen |= sources
+
+
+def reachable_components(functions: Mapping[str, Function], name: str) -> frozenset[str]:
+    """Return the names of all components that a plan of a function may have."""
+    reached = reachable_functions(functions, name)
+    return frozenset(component.name for function in reached for component in function.components)

@@ -29,6 +29,7 @@ from uoarm._resolve import (
     carry_candidates,
     find_replacement,
     reachable_components,
+    reachable_functions,
     without_candidates,
 )
 from uoarm._support.ordered import OrderedMap
@@ -174,6 +175,11 @@ class Revision:
         if reach is None:
             reach = self._reach[function] = reachable_components(self.robot.functions, function)
         return frozenset(name for name in reach if name in components)
+
+    def has_needs(self, name: str) -> bool:
+        """Whether a function, or one that may feed it, says what it needs of candidates."""
+        reached = reachable_functions(self.robot.functions, name)
+        return any(function.needs is not None for function in reached)
 
     def forget_within(self, function: str, components: Collection[str]) -> None:
         """Forget the structures of components, of which a function, where one is named, has few."""
