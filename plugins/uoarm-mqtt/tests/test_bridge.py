@@ -333,6 +333,19 @@ class TestPresence:
 class TestServices:
     """Response topic and correlation data, with peers on the other side."""
 
+    def test_a_client_may_have_any_name(self, broker: Broker, peer: Peer) -> None:
+        peer.serve("any/name", lambda request: request)
+        with bridge_to(broker, client_id="lab+arm #1/é") as bridge:
+            assert bridge.discover() is not None
+            place = endpoint("any/name", Role.SERVICE)
+            assert bridge.call(place, 7, timeout=patience()) == 7
+
+    def test_filters_may_have_every_form(self, broker: Broker) -> None:
+        topics = ["#", "+", "+/+", "a/+/b", "/a", "a//b", "/", "a/#", "+/#", "$SYS/#", "é ☃/+"]
+        structures = dict.fromkeys(topics, True)
+        with bridge_to(broker, discover={"topics": topics, "seconds": 0.1}, structures=structures):
+            pass
+
     def test_an_absent_service_is_reported_at_once(self, bridge: Bridge) -> None:
         place = endpoint("no/service", Role.SERVICE)
         with pytest.raises(BridgeError, match="no client is subscribed") as caught:
@@ -618,6 +631,12 @@ class TestRefusals:
             ({"url": "mqtt://broker", "user": "u", "password_env": "PATH"}, "unencrypted"),
             ({"password": "secret"}, "password"),
             ({"schemas": "no place"}, "schemas"),
+            ({"replies": "a/#"}, "replies"),
+            ({"presence": {"topic": "a/+"}}, "presence"),
+            ({"discover": {"topics": ["a#"]}}, "discover"),
+            ({"discover": {"topics": ["a/#/b"]}}, "discover"),
+            ({"structures": {"a+/b": True}}, "structures"),
+            ({"services": {"a/#": {}}}, "services"),
         ],
     )
     def test_options_of_the_bridge(self, options: dict[str, object], why: str) -> None:
@@ -638,6 +657,7 @@ class TestRefusals:
             ("a", "output", {"qos": 3}, "qos"),
             ("a", "output", {"Qos": 1}, "Qos"),
             ("a", "output", {"presence": {}}, "presence"),
+            ("a", "output", {"presence": {"topic": "a/#"}}, "presence"),
         ],
     )
     def test_options_of_a_port(

@@ -242,7 +242,7 @@ class ServiceCalls:
 
     def __init__(self, link: BrokerConnection, topic: str) -> None:
         self._link = link
-        self._receiver = Receiver(f"{topic}/{link.options.client_id}", self._take)
+        self._receiver = Receiver(f"{topic}/{link.options.client_level}", self._take)
         # Of the first callers, in threads of their own, exactly one subscribes to the replies, and
         # none publishes a request before that.
         self._opening = threading.Lock()

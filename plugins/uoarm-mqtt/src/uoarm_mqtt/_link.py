@@ -234,7 +234,7 @@ class BrokerConnection:
             BridgeTimeoutError: it has not in so many seconds, or in those of a step.
             BridgeError: the connection is broken, or breaks meanwhile.
         """
-        topic = f"uoarm/barrier/{self.options.client_id}"
+        topic = f"uoarm/barrier/{self.options.client_level}"
         self.require_up()
         what, limit = "waiting for what was sent", min(seconds, _STEP_SECONDS)
         self._wait("u", what, lambda: self._client.unsubscribe(topic), limit)

@@ -16,6 +16,13 @@ from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Options, is_loopback
 
 _TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1}
+_TOPIC: Mapping[str, Any] = {"type": "string", "pattern": r"^[^+#\0]+$", "examples": ["lab/lamp"]}
+_FILTER: Mapping[str, Any] = {
+    "type": "string",
+    "minLength": 1,
+    "pattern": r"^(\+|[^+#/\0]*)(/(\+|[^+#/\0]*))*(/#)?$|^#$",
+    "examples": ["lab/+/temperature", "lab/#"],
+}
 _PATH: Mapping[str, Any] = {"type": "string", "minLength": 1, "x-uoarm-path": True}
 _SECONDS: Mapping[str, Any] = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
 _COUNT: Mapping[str, Any] = {"type": "integer", "minimum": 1}
@@ -119,7 +126,7 @@ class BrokerOptions(BridgeOptions):
 class AnnouncementOptions(DeclaredOptions):
     """Where a bridge says that it is there."""
 
-    topic: str = option("", _TEXT, "that it says it on, retained", required=True)
+    topic: str = option("", _TOPIC, "that it says it on, retained", required=True)
     online: str = option("online", _TEXT, "what it says while it is there")
     offline: str = option("offline", _TEXT, "what its last will says")
 
@@ -129,7 +136,7 @@ class DiscoveryOptions(DeclaredOptions):
     """Where components are looked for."""
 
     topics: tuple[str, ...] = option(
-        ("#",), {"type": "array", "items": _TEXT}, "filters of the topics that are looked at"
+        ("#",), {"type": "array", "items": _FILTER}, "filters of the topics that are looked at"
     )
     seconds: float = option(1.0, _SECONDS, "that is waited for messages", unit="s")
     most: int = option(200, _COUNT, "topics that are listed")
@@ -147,11 +154,13 @@ class MqttOptions(BrokerOptions):
     )
     structures: Mapping[str, Any] = option(
         {},
-        {"type": "object", "additionalProperties": _STRUCTURE},
+        {"type": "object", "propertyNames": _FILTER, "additionalProperties": _STRUCTURE},
         "JSON Schemas by topic or filter",
     )
     services: Mapping[str, Any] = option(
-        {}, {"type": "object", "additionalProperties": _SERVICE}, "`{request, reply}` by topic"
+        {},
+        {"type": "object", "propertyNames": _TOPIC, "additionalProperties": _SERVICE},
+        "`{request, reply}` by topic",
     )
     schemas: str = option(
         "",
@@ -166,7 +175,7 @@ class MqttOptions(BrokerOptions):
     )
     replies: str = option(
         "uoarm/replies",
-        _TEXT,
+        _TOPIC,
         "topic of replies, with the client's name as one more level",
     )
     discover: DiscoveryOptions = option(
@@ -178,7 +187,7 @@ class MqttOptions(BrokerOptions):
 class PresenceOptions(DeclaredOptions):
     """Where a component says whether it is there: a retained topic, written by its last will."""
 
-    topic: str = option("", _TEXT, "that it says it on", required=True)
+    topic: str = option("", _TOPIC, "that it says it on", required=True)
     member: str = option("", _TEXT, "of the JSON object on it; left out: the payload as a text")
     online: str = option("online", _TEXT, "what stands there while it is there")
     finished: str = option("", _TEXT, "what stands there after an orderly end; left out: none is")
@@ -288,6 +297,11 @@ class ConnectionOptions:
     announcement: PresenceAnnouncement | None
     budget: Budget
     backlog: int
+
+    @property
+    def client_level(self) -> str:
+        """The client's name as a level of a topic, where a name may have what a level may not."""
+        return self.client_id.replace("+", "-").replace("#", "-")
 
 
 def connection_options(
