@@ -47,8 +47,14 @@ def checked(bridge: Bridge, path: str = "") -> None:
     With a path, until it has seen that component alive: others of its name may have died before.
     """
     monitor: Any = vars(bridge)["_monitor"]
-    wait(lambda: monitor._conditions is not None)
-    wait(lambda: not path or monitor._conditions.get(path) == "alive")
+
+    def is_checked() -> bool:
+        conditions = {name: item.condition for name, item in (monitor._names or {}).items()}
+        if monitor._names is None or None in conditions.values():
+            return False
+        return not path or conditions.get(path) == "alive"
+
+    wait(is_checked)
 
 
 class Inbox:

@@ -13,9 +13,11 @@ import pytest
 from endpoints import ANSWERS, Inbox, checked, endpoint
 from peers import Peer
 from uoarm_rtm import _orb
-from uoarm_rtm._naming import NamingService, corbaloc
+from uoarm_rtm._discovery import DirectoryEntry, DirectoryMonitor
+from uoarm_rtm._naming import Name, NamingService, corbaloc
 from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb
+from uoarm_rtm._watch import Check
 from uoarm_rtm.component import ComponentProfile, RtComponent, Types
 from uoarm_rtm.nameserver import NameServer
 
@@ -33,6 +35,53 @@ def names() -> Any:
     """A naming service of this test alone."""
     with NameServer() as server:
         yield server.address
+
+
+class Listed:
+    """A directory of one component, whose name and condition a test sets."""
+
+    def __init__(self) -> None:
+        self.name: Name | None = Name("A.rtc", self)
+        self.condition = "alive"
+
+    def _is_equivalent(self, other: object) -> bool:
+        return self is other
+
+    def names(self) -> dict[str, Name]:
+        return {} if self.name is None else {self.name.path: self.name}
+
+    def look(self, name: Name) -> DirectoryEntry:
+        return DirectoryEntry(name.path, name.reference, self.condition)
+
+
+@pytest.mark.parametrize("leaves", [True, False])
+def test_one_that_leaves_between_two_checks_has_not_died(leaves: bool) -> None:
+    listed, follows = Listed(), list[Check]()
+    reports: list[tuple[Health, str]] = []
+
+    def report(health: Health, cause: str, **_: Any) -> None:
+        reports.append((health, cause))
+
+    directory: Any = listed
+    monitor = DirectoryMonitor(directory, report, "Own.rtc", follows.append)
+
+    def play(checks: list[Check]) -> None:
+        for check in checks:
+            check()
+            while follows:
+                follows.pop()()
+
+    play(monitor.checks())
+    play(monitor.checks())
+    round_of_checks = monitor.checks()
+    play(round_of_checks[:1])
+    listed.condition = "dead"
+    if leaves:
+        listed.name = None
+    play(round_of_checks[1:])
+    play(monitor.checks())
+    end = "left" if leaves else "died: only its name is left"
+    assert reports == [(Health.LOST, f"component A.rtc {end}")]
 
 
 def test_components_are_discovered_with_ports_types_and_state(

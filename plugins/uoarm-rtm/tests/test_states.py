@@ -9,12 +9,13 @@ from typing import Any
 import pytest
 from endpoints import ANSWERS, Inbox, of, sink, source, stamped
 from peers import Peer
+from uoarm_rtm._orb import calls
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge, Channel, Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Role
-from uoarm.testing import wait
+from uoarm.testing import Background, patience, wait
 
 Start = Callable[..., Peer]
 PORTS = {Role.OUTPUT: "out", Role.INPUT: "in"}
@@ -84,6 +85,24 @@ def test_a_failed_component_is_reset_where_that_is_allowed(bridge: Bridge, peer:
         opened(bridge, of("Worker", Role.INPUT, "in", activate=True))
     opened(bridge, of("Worker", Role.INPUT, "in", activate=True, reset=True))
     assert component.calls() == ["activated", "aborting", "reset", "activated"]
+
+
+def test_one_that_hangs_as_it_is_deactivated_keeps_no_other_from_being_activated(
+    make_bridge: Callable[..., Bridge], peer: Start
+) -> None:
+    bridge = make_bridge(watch=0)
+    hung, healthy = peer("Hung"), peer("Healthy")
+    channel = opened(bridge, of("Hung", Role.INPUT, "in", activate=True))
+    hung.freeze()
+    closing = Background(lambda: channel.close(timeout=patience()))
+    deactivating = Background(vars(bridge)["_active"].tick)
+    wait(lambda: calls._count == 2)  # to end the connection, and for the state
+    opened(bridge, of("Healthy", Role.INPUT, "in", activate=True))
+    assert healthy.state() == "ACTIVE_STATE"
+    hung.thaw()
+    for action in (closing, deactivating):
+        action.result()
+    assert hung.calls() == ["activated", "deactivated"]
 
 
 @pytest.mark.parametrize("options", ["{}", "{activate: true}"])

@@ -6,8 +6,9 @@ import contextlib
 import threading
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import partial
+from typing import TypeVar
 
 from uoarm.bridge import (
     Bridge,
@@ -33,8 +34,9 @@ from uoarm_rtm._channels import (
 )
 from uoarm_rtm._control import DESCRIPTIONS, Activations, configure, drive
 from uoarm_rtm._discovery import Directory, DirectoryMonitor, discovered
-from uoarm_rtm._health import Observers, RemotePort, Ticker
+from uoarm_rtm._health import RemotePort, WatchedComponent, WatchedPort
 from uoarm_rtm._naming import NamingService
+from uoarm_rtm._observers import Observers
 from uoarm_rtm._options import (
     CONFIGURATION,
     LIFECYCLE,
@@ -57,9 +59,12 @@ from uoarm_rtm._services import (
     unwrapped,
 )
 from uoarm_rtm._types import CALL, Types
+from uoarm_rtm._watch import Check, Ticker
 
 _EXIT_SECONDS = 3.0
 _WATCH_SECONDS = 1.0
+
+Ticked = TypeVar("Ticked", OutPortSource, InPortSink)
 
 
 class RtmBridge(Bridge):
@@ -92,19 +97,19 @@ class RtmBridge(Bridge):
             raise
         self._directory = Directory(self._services, seconds)
         self._connections = Connections(self._orb, self._component, seconds)
-        # Guards the callers, our own component and the checks: calls, openings, closings and the
-        # ticker's rounds are in different threads. Never held while a component is called.
+        # Guards the callers, our own component and what is watched: calls, openings, closings and
+        # the ticker's rounds are in different threads. Never held while a component is called.
         self._guard = threading.Lock()
         # Held while our own component is made, which calls naming services: `close` waits for it.
         self._making = threading.Lock()
         self._own: OwnComponent | None = None
         self._callers: dict[tuple[str, ...], OperationCaller] = {}
         self._active = Activations(seconds)
-        self._ticking: dict[Channel, Callable[[], None]] = {}
-        own = f"{self._component}.rtc"
-        self._monitor = DirectoryMonitor(self._directory, self.report, own)
-        self._ticker = Ticker(self._ticks, self._options.watch)
-        soon = self._ticker.soon
+        self._watched: dict[str, WatchedComponent] = {}
+        self._ticking: dict[OutPortSource | InPortSink, None] = {}
+        self._ticker = Ticker(self._checks, self._options.watch)
+        soon, follow, own = self._ticker.soon, self._ticker.follow, f"{self._component}.rtc"
+        self._monitor = DirectoryMonitor(self._directory, self.report, own, follow)
         self._observers = Observers(self._orb, self._component, seconds, soon)
         self._ticker.start()
         self._forget_exit = at_exit(partial(_end_at_exit, weakref.ref(self)))
@@ -138,9 +143,7 @@ class RtmBridge(Bridge):
             own = address.type or self._types.derive(address.port, structure, is_read=True)
             return self._own_component().source(endpoint, address.port, own, deliver)
         remote = self._remote_port(endpoint)
-        source = OutPortSource(remote, deliver)
-        self._supervise(source, source.tick, remote)
-        return source
+        return self._ticked(OutPortSource(remote, deliver))
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         address = address_of(endpoint)
@@ -148,9 +151,7 @@ class RtmBridge(Bridge):
             own = address.type or self._types.derive(address.port, structure, is_read=False)
             return self._own_component().sink(endpoint, address.port, own)
         remote = self._remote_port(endpoint)
-        sink = InPortSink(remote)
-        self._supervise(sink, sink.tick, remote)
-        return sink
+        return self._ticked(InPortSink(remote))
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
@@ -237,7 +238,7 @@ class RtmBridge(Bridge):
         if is_big_in_cpp(start.peer, options) or is_big_in_cpp(end.peer, options):
             return None
         native = NativeConnector(start, end, options)
-        self._supervise(native, native.tick, end, start)
+        self._supervise(native, native.ports[::-1])  # the sink is activated first
         return native
 
     def _discover(self) -> tuple[Discovered, ...]:
@@ -249,6 +250,7 @@ class RtmBridge(Bridge):
             self._ticker.close(0)
             with self._guard:
                 self._ticking.clear()
+                self._watched.clear()
             self._active.tick()
             self._observers.close()
             self._connections.close()
@@ -295,7 +297,7 @@ class RtmBridge(Bridge):
             RtmEndpointOptions.of_endpoint(endpoint),
             self._options.call_seconds,
             self.report,
-            self._active.tick,
+            partial(self._active.tick, peer.path),
         )
 
     def _port(self, endpoint: Endpoint, address: PortAddress) -> tuple[PeerComponent, PeerPort]:
@@ -316,19 +318,37 @@ class RtmBridge(Bridge):
             )
             raise BridgeError(text, FailureReason.UNAVAILABLE)
 
-    def _supervise(self, channel: Channel, tick: Callable[[], None], *remotes: RemotePort) -> None:
-        """Have a channel watched, and its components activated when that is asked."""
-        for remote in remotes:
+    def _ticked(self, channel: Ticked) -> Ticked:
+        """Have a channel watched, which is also lost where it is silent."""
+        self._supervise(channel, channel.ports)
+        with self._guard:
+            self._ticking[channel] = None
+        return channel
+
+    def _supervise(self, channel: Channel, ports: Sequence[WatchedPort]) -> None:
+        """Have a channel's ports watched, and its components activated when that is asked."""
+        for port in ports:
             try:
-                self._active.enter(channel, remote.peer, remote.options)
+                self._active.enter(channel, port.remote.peer, port.remote.options)
             except BridgeError:
                 channel.close()
                 raise
-        with self._guard:
-            self._ticking[channel] = tick
+        components = []
+        for port in ports:
+            key = self._orb.text(port.remote.peer.reference)  # one that came back is another
+            with self._guard:
+                component = self._watched.get(key)
+                if component is None:
+                    seconds = self._options.call_seconds
+                    component = WatchedComponent(port.remote.peer, seconds, self._ticker)
+                    self._watched[key] = component
+                component.enter(port)
+            components.append(component)
+        for port, other in zip(ports, reversed(components), strict=True):
+            port.other = other if len(ports) > 1 else None
         if self._options.observe and self._options.watch:
-            for remote in remotes:
-                self._observers.enter(channel, tick, remote.peer)
+            for component in components:
+                self._observers.enter(component)
 
     def _require_open(self) -> None:
         if self.closed:
@@ -351,13 +371,15 @@ class RtmBridge(Bridge):
                 raise
             return made
 
-    def _ticks(self) -> list[Callable[[], None]]:
+    def _checks(self) -> list[Check]:
+        """Return the checks of one round; none of them waits for another."""
         with self._guard:
-            for channel in [channel for channel in self._ticking if channel.closed]:
-                del self._ticking[channel]
-            ticks = [*self._ticking.values()]
-        ticks += [self._active.tick, self._observers.tick, self._monitor.tick]
-        return ticks if self._own is None else [*ticks, self._own.tick]
+            self._watched = {key: found for key, found in self._watched.items() if found.is_used}
+            self._ticking = {channel: None for channel in self._ticking if not channel.closed}
+            checks: list[Check] = [channel.tick for channel in self._ticking]
+            checks += [component.check for component in self._watched.values()]
+        checks += [*self._active.checks(), *self._observers.checks(), *self._monitor.checks()]
+        return checks if self._own is None else [*checks, self._own.tick]
 
 
 def _end_at_exit(reference: weakref.ref[RtmBridge]) -> None:

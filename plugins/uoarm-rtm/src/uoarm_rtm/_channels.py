@@ -19,7 +19,13 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, Message
 from uoarm.model import Message, Role
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._dataflow import PullBuffer, Puller, SizeLimit, ThreadedPusher
-from uoarm_rtm._health import ConnectorHealth, PortFault, RemotePort
+from uoarm_rtm._health import (
+    ConnectorHealth,
+    LinkHealth,
+    PortStatus,
+    RemotePort,
+    WatchedPort,
+)
 from uoarm_rtm._options import (
     PortAddress,
     RtmEndpointOptions,
@@ -172,9 +178,25 @@ class OutPortSource(Source):
         self._deliver(message)
         return OpenRTM.PORT_OK
 
+    @property
+    def ports(self) -> tuple[WatchedPort, ...]:
+        """What is to be checked."""
+        return (WatchedPort(self, self._remote, self._connector),)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether that was reported."""
+        return bool(self.health.lost)
+
+    def judge(self, end: int, status: PortStatus) -> bool:
+        """Report what a check found."""
+        del end
+        self.health.take(status)
+        return False
+
     def tick(self) -> None:
-        """Check the connection; called about once a second by the bridge's ticker."""
-        self.health.check(self._connector)
+        """Report a silence that is too long."""
+        self.health.tick()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
@@ -297,9 +319,25 @@ class InPortSink(Sink):
         """Wait until what is in our buffer has been taken, `timeout` seconds at most."""
         return self._buffer is None or self._buffer.drain(timeout)
 
+    @property
+    def ports(self) -> tuple[WatchedPort, ...]:
+        """What is to be checked."""
+        return (WatchedPort(self, self._remote, self._connector),)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether that was reported."""
+        return bool(self.health.lost)
+
+    def judge(self, end: int, status: PortStatus) -> bool:
+        """Report what a check found."""
+        del end
+        self.health.take(status)
+        return False
+
     def tick(self) -> None:
-        """Check the connection; called about once a second by the bridge's ticker."""
-        self.health.check(self._connector)
+        """Report a silence that is too long."""
+        self.health.tick()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
@@ -416,7 +454,8 @@ class NativeConnector(Channel):
         self._ends = source, sink
         self._where = f"{source.where} to {sink.where}"
         # Of the source as this channel, which has its endpoint; of the sink as its component.
-        self._healths = (
+        self._health = LinkHealth(
+            self._where,
             ConnectorHealth(self, source),
             ConnectorHealth(self, sink, component=sink.endpoint.component),
         )
@@ -427,28 +466,23 @@ class NativeConnector(Channel):
 
     def facts(self) -> Mapping[str, object]:
         """Return which ports are connected, and the states of both components."""
-        states = tuple(health.state for health in self._healths)
-        return {"native": self._where, "states": states}
+        return {"native": self._where, "states": self._health.states}
 
-    def tick(self) -> None:
-        """Check both ends, about once a second; the one with the surest sign is blamed.
+    @property
+    def ports(self) -> tuple[WatchedPort, ...]:
+        """What is to be checked."""
+        return tuple(
+            WatchedPort(self, remote, self._connector, end) for end, remote in enumerate(self._ends)
+        )
 
-        When an end dies the other drops the connection: what is gone is the cause of what ended.
-        """
-        if self.closed or any(health.lost for health in self._healths):
-            return
-        statuses = [remote.check(self._connector, end) for end, remote in enumerate(self._ends)]
-        for health, status in zip(self._healths, statuses, strict=True):
-            health.state = status.state
-        worst = max(range(2), key=lambda end: statuses[end].fault)
-        if statuses[worst].fault <= PortFault.INACTIVE:
-            for health, status in zip(self._healths, statuses, strict=True):
-                health.take(status)
-            return
-        text = f"{statuses[worst].cause}; it was connected from {self._where}"
-        if all(status.fault is PortFault.ENDED for status in statuses):
-            text = f"the components have ended the connection from {self._where}"
-        self._healths[worst].take(evolve(statuses[worst], cause=text))
+    @property
+    def is_lost(self) -> bool:
+        """Whether that was reported."""
+        return self._health.is_lost
+
+    def judge(self, end: int, status: PortStatus) -> bool:
+        """Report what a check found, or whose fault a loss is."""
+        return self._health.judge(end, status)
 
     def _close(self) -> None:
         try:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from _uoarm_rtm_stubs import RTC, SDOPackage
-from attrs import frozen
+from attrs import define, field, frozen
 
 from uoarm.bridge import Channel, Description
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
@@ -26,6 +26,7 @@ from uoarm.model import Message, MessageStructure
 from uoarm_rtm._options import CONFIGURATION, LIFECYCLE, RtmEndpointOptions
 from uoarm_rtm._orb import corba_errors, narrowed
 from uoarm_rtm._peer import PeerComponent, contexts_of, pairs, properties_of, state_of
+from uoarm_rtm._watch import Check
 
 _GLANCE_SECONDS = 0.02
 _GOALS = {"activate": "active", "deactivate": "inactive", "reset": "inactive"}
@@ -387,6 +388,29 @@ def _kept(what: str, name: str, written: Mapping[str, str], now: _ConfigurationS
             raise BridgeError(f"{text}: the component does not keep it", FailureReason.REFUSED)
 
 
+@define(eq=False)
+class _Activation:
+    """One component that channels need ACTIVE.
+
+    Attributes:
+        users: the channels.
+        is_ours: whether we have activated it.
+        changing: held while the component is called: one that is about to be deactivated must not
+            count as active for a channel that opens.
+    """
+
+    owner: Activations
+    peer: PeerComponent
+    users: set[Channel] = field(factory=set)
+    is_ours: bool = False
+    changing: threading.Lock = field(factory=threading.Lock)
+
+    def check(self) -> None:
+        """Deactivate the component where we activated it and no open channel needs it."""
+        with self.changing:
+            self.owner.end(self)
+
+
 class Activations:
     """Counts which channels need which component ACTIVE.
 
@@ -398,11 +422,10 @@ class Activations:
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
-        # Guards both tables, from channels that open in any thread. Held while components change:
-        # one that is about to be deactivated must not count as active for a channel that opens.
-        self._lock = threading.Lock()
-        self._ours: dict[str, PeerComponent] = {}
-        self._users: dict[str, set[Channel]] = {}
+        # Guards the table and who uses what, from channels that open in any thread. Never held
+        # while a component is called.
+        self._guard = threading.Lock()
+        self._known: dict[str, _Activation] = {}
 
     def enter(self, channel: Channel, peer: PeerComponent, options: RtmEndpointOptions) -> None:
         """Have a component ACTIVE while a channel is open, where its endpoint asks for that.
@@ -414,28 +437,53 @@ class Activations:
         """
         if not options.activate:
             return
-        with self._lock:
-            state = state_of(peer, self._seconds)
-            if state == "error" and options.reset:
-                change(peer, "reset", self._seconds, there_is_fine=True)
-            if state != "active":
-                change(peer, "activate", self._seconds, there_is_fine=True)
-                self._ours[peer.path] = peer
-            self._users.setdefault(peer.path, set()).add(channel)
+        with self._guard:
+            known = self._known.setdefault(peer.path, _Activation(self, peer))
+            known.users.add(channel)  # from here on it stays in the table
+        try:
+            with known.changing:
+                state = state_of(peer, self._seconds)
+                if state == "error" and options.reset:
+                    change(peer, "reset", self._seconds, there_is_fine=True)
+                if state != "active":
+                    change(peer, "activate", self._seconds, there_is_fine=True)
+                    known.peer, known.is_ours = peer, True
+        except BridgeError:
+            with self._guard:
+                known.users.discard(channel)
+            raise
 
-    def tick(self) -> None:
-        """Deactivate what we activated and no open channel needs."""
-        with self._lock:
-            for path, users in list(self._users.items()):
-                users -= {user for user in users if user.closed}
-                if users:
-                    continue
-                del self._users[path]
-                peer = self._ours.pop(path, None)
-                if peer is None:
-                    continue
-                try:
-                    if state_of(peer, self._seconds) != "error":  # which is not active either
-                        change(peer, "deactivate", self._seconds, there_is_fine=True)
-                except BridgeError as error:
-                    _log.warning("component %s could not be deactivated: %s", path, error)
+    def checks(self) -> list[Check]:
+        """Return what there is to do, of each component on its own."""
+        with self._guard:
+            entries = list(self._known.values())
+        return [known.check for known in entries if not self._is_used(known)]
+
+    def tick(self, path: str = "") -> None:
+        """Deactivate what we activated and no open channel needs; with a path, only that one."""
+        with self._guard:
+            found = [known for name, known in self._known.items() if path in {"", name}]
+        for known in found:
+            if not self._is_used(known):
+                known.check()
+
+    def end(self, known: _Activation) -> None:
+        """Deactivate one that no channel needs, and leave it out; the caller holds its lock."""
+        if self._is_used(known):
+            return
+        peer = known.peer
+        if known.is_ours:
+            known.is_ours = False
+            try:
+                if state_of(peer, self._seconds) != "error":  # which is not active either
+                    change(peer, "deactivate", self._seconds, there_is_fine=True)
+            except BridgeError as error:
+                _log.warning("component %s could not be deactivated: %s", peer.path, error)
+        with self._guard:
+            if not known.users and self._known.get(peer.path) is known:
+                del self._known[peer.path]
+
+    def _is_used(self, known: _Activation) -> bool:
+        with self._guard:
+            known.users = {user for user in known.users if not user.closed}
+            return bool(known.users)

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from attrs import frozen
+from attrs import define, frozen
 from omniORB import CORBA
 
 from uoarm.bridge import Description, Discovered
@@ -25,6 +26,7 @@ from uoarm_rtm._orb import calls, corba_errors, limit
 from uoarm_rtm._peer import PeerComponent, PeerPort, contexts_of, peer_at, state_of
 from uoarm_rtm._services import described
 from uoarm_rtm._types import Types
+from uoarm_rtm._watch import Check
 
 _AT_ONCE = 8
 _SUFFIX = ".rtc"
@@ -74,8 +76,8 @@ class Directory:
             raise failures[0]
         return self._below(path)
 
-    def entries(self) -> tuple[DirectoryEntry, ...]:
-        """Return every component's name, with its condition; silent services are left out.
+    def names(self) -> dict[str, Name]:
+        """Return every component's name by its path; silent services are left out.
 
         Raises:
             BridgeError: no naming service answers.
@@ -91,11 +93,20 @@ class Directory:
                 failures.append(error)
         if len(failures) == len(self._services):
             raise failures[0]
+        return names
+
+    def entries(self) -> tuple[DirectoryEntry, ...]:
+        """Return every component's name, with its condition; silent services are left out.
+
+        Raises:
+            BridgeError: no naming service answers.
+        """
+        names = self.names()
         if not names:
             return ()
         try:
             with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-look") as pool:
-                return tuple(pool.map(self._look, names.values()))
+                return tuple(pool.map(self.look, names.values()))
         except RuntimeError as error:  # no thread can begin any more
             raise BridgeError("this process is ending", FailureReason.CLOSED) from error
 
@@ -113,7 +124,8 @@ class Directory:
                 silent.append((entry.path, str(error)))
         return tuple(found), tuple(silent)
 
-    def _look(self, name: Name) -> DirectoryEntry:
+    def look(self, name: Name) -> DirectoryEntry:
+        """Return the condition of the component behind a name; one that hangs takes its time."""
         try:
             with calls:
                 gone = limit(name.reference, self._seconds)._non_existent()
@@ -232,29 +244,71 @@ def _state(peer: PeerComponent, seconds: float) -> tuple[str, float | None]:
     return text + "s"[: len(contexts) != 1], rate or None  # 0: when something happens
 
 
+@define(eq=False)
+class _WatchedName:
+    """A name, and what was found behind it; None: it was not looked at yet.
+
+    Attributes:
+        owner: whose it is.
+        name: with the reference.
+        is_known: whether it was there from the beginning, which is no news.
+        is_dead: nothing was behind it at the last look. One that leaves ends its name before
+            itself: that it died is reported when the name is still there after that.
+    """
+
+    owner: DirectoryMonitor
+    name: Name
+    is_known: bool
+    condition: str | None = None
+    is_dead: bool = False
+
+    def check(self) -> None:
+        """Look at what is behind it, and report what has changed."""
+        self.owner.look(self)
+
+
 class DirectoryMonitor:
-    """Which components are there, compared with the last check.
+    """Which components are there, compared with before. Each is looked at on its own.
 
     Args:
         directory: names and what stands behind them.
         report: that of the bridge.
         own: path to leave out: the bridge's own component.
+        follow: has a check made next.
     """
 
-    def __init__(self, directory: Directory, report: Callable[..., None], own: str) -> None:
+    def __init__(
+        self,
+        directory: Directory,
+        report: Callable[..., None],
+        own: str,
+        follow: Callable[[Check], None],
+    ) -> None:
         self._directory = directory
         self._report = report
         self._own = own
-        self._conditions: dict[str, str] | None = None
+        self._follow = follow
+        # Guards the names and their conditions, from checks in other threads. Never held while a
+        # component is called, nor while something is reported.
+        self._guard = threading.Lock()
+        self._names: dict[str, _WatchedName] | None = None
         self._is_unreachable = False
 
+    def checks(self) -> list[Check]:
+        """Return the checks of a round: the list of names, and each name that is known."""
+        with self._guard:
+            return [self.tick, *[watched.check for watched in (self._names or {}).values()]]
+
     def tick(self) -> None:
-        """Report what came, left, died, hung or woke up; the first check reports nothing."""
+        """Read the names; what is new is looked at next, and what was there and has left reported.
+
+        The first time nothing is reported.
+        """
+        with self._guard:  # those that were dead before the names are read
+            doubtful = [watched for watched in (self._names or {}).values() if watched.is_dead]
         try:
-            entries = self._directory.entries()
+            names = self._directory.names()
         except BridgeError as error:
-            if error.reason is FailureReason.CLOSED:
-                return
             # A naming service that is gone says nothing of the components.
             if not self._is_unreachable:
                 self._is_unreachable = True
@@ -263,14 +317,51 @@ class DirectoryMonitor:
         if self._is_unreachable:
             self._is_unreachable = False
             self._report(Health.OK, "a naming service answers again")
-        now = {entry.path: entry.condition for entry in entries if entry.path != self._own}
-        before, self._conditions = self._conditions, now
-        if before is None:
-            return
-        for path in sorted(before.keys() | now.keys()):
-            was, is_now = before.get(path), now.get(path)
+        names.pop(self._own, None)
+        with self._guard:
+            before, self._names = self._names, {}
+            for path, name in names.items():
+                self._names[path] = self._watched(name, before)
+            fresh = [watched for watched in self._names.values() if watched.condition is None]
+            left = sorted((before or {}).keys() - names.keys())
+            changes: list[tuple[str, str | None, str | None]] = [
+                (path, (before or {})[path].condition, None) for path in left
+            ]
+            for watched in doubtful:
+                path, was = watched.name.path, watched.condition
+                if watched.is_dead and self._names.get(path) is watched:
+                    watched.condition = "dead"
+                    changes.append((path, was, "dead"))
+        for watched in fresh:
+            self._follow(watched.check)
+        for path, was, is_now in changes:
             if was != is_now:
                 self._report_change(path, was, is_now)
+
+    def look(self, watched: _WatchedName) -> None:
+        """Find out what is behind a name now, and report it where that has changed."""
+        path = watched.name.path
+        is_now = self._directory.look(watched.name).condition
+        with self._guard:
+            if (self._names or {}).get(path) is not watched:
+                return  # it has left, or is another component's now
+            was, watched.is_dead = watched.condition, is_now == "dead"
+            is_doubtful = watched.is_dead and was in {"alive", "hung"}
+            if not is_doubtful:
+                watched.condition = is_now
+        if is_doubtful:
+            self._follow(self.tick)
+        elif was != is_now and not (was is None and watched.is_known):
+            self._report_change(path, was, is_now)
+
+    def _watched(self, name: Name, before: dict[str, _WatchedName] | None) -> _WatchedName:
+        """Return the entry of a name; another one where it stands for another component now."""
+        known = None if before is None else before.get(name.path)
+        if known is None:
+            return _WatchedName(self, name, is_known=before is None)
+        if known.name.reference._is_equivalent(name.reference):
+            return known
+        return _WatchedName(self, name, known.is_known, known.condition)
 
     def _report_change(self, path: str, was: str | None, is_now: str | None) -> None:
         if is_now == "alive":

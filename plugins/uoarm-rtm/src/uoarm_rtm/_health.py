@@ -1,44 +1,34 @@
-"""The health of channels to components: what a check finds, and when it is made.
+"""The health of channels to components: what a check finds, and what is reported of it.
 
 A check of a component finds the worst that is wrong with it. A component that is gone, hangs, has
 failed (state ERROR) or has ended the connection is lost, and is the one to blame; an inactive one
 is degraded: it takes data, and does nothing with it.
 
-`Ticker` makes the checks at intervals, and one of them at once on request. Requests come from
-`Observers`: a component whose process has OpenRTM's `ComponentObserver` takes an observer through
-its SDO configuration, and calls it without waiting. Where one does not, the check of every second
-finds the same, later; so an event is never believed, but brings the next check forward.
-
-Observed are the states of the component and of its execution contexts. Changes of ports are not:
-for them a component would run a listener with each message. Nor are heartbeats: OpenRTM-aist in
-Python 1.2 continues them when the observer has been removed; the check asks, which says more.
+A component is asked for its state once for all channels. Where it answers, its ports are asked for
+their connections, each in a check of its own: a port may ask the one at the other end, and hang as
+long as that one does (`uoarm_rtm._watch` has when checks are made).
 """
 
 from __future__ import annotations
 
 import contextlib
-import logging
 import threading
 import time
-import uuid
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
-from typing import Any
+from typing import Protocol
 
-from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA, SDOPackage
-from attrs import Factory, define, field, frozen
-from omniORB import CORBA
+from attrs import define, evolve, field, frozen
 
 from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Endpoint, Health
 from uoarm_rtm._control import change
-from uoarm_rtm._journal import NAME, PROCESS, JournalEntry, end_observer, journal
 from uoarm_rtm._options import RtmEndpointOptions
-from uoarm_rtm._orb import Orb, calls, corba_errors, limit
-from uoarm_rtm._peer import Connections, Connector, PeerComponent, PeerPort, pairs, state_of
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._peer import Connections, Connector, PeerComponent, PeerPort, state_of
 from uoarm_rtm._shape import CdrCodec
+from uoarm_rtm._watch import Ticker
 
 _IDLE = {"none": "inactive, without an execution context", "created": "not initialised"}
 
@@ -55,13 +45,60 @@ class PortFault(IntEnum):
     GONE = 6
 
 
+_OF_THE_COMPONENT = {PortFault.FAILED, PortFault.HANGS, PortFault.GONE}
+
+
 @frozen
 class PortStatus:
-    """What a check found at one end: the fault, what to say of the port, the component's state."""
+    """What a check found at one end of a connection. Times are in seconds of one clock.
+
+    Attributes:
+        fault: what is wrong.
+        cause: what to say of the port.
+        state: of the component.
+        asked_at: when its component was asked.
+        wrong_at: what is wrong was so then, or began later.
+    """
 
     fault: PortFault
     cause: str
     state: str
+    asked_at: float = 0.0
+    wrong_at: float = 0.0
+
+
+def component_status(peer: PeerComponent, seconds: float) -> PortStatus:
+    """Ask a component for its state, and return what is wrong with it, for all its ports."""
+    asked_at = time.monotonic()
+    try:
+        state = state_of(peer, seconds)
+    except BridgeTimeoutError:
+        return PortStatus(PortFault.HANGS, "does not answer: it hangs", "", asked_at)
+    except BridgeError as error:
+        return PortStatus(PortFault.GONE, str(error), "", asked_at)
+    if state == "error":
+        text = "its component has failed: it is in state ERROR"
+        return PortStatus(PortFault.FAILED, text, state, asked_at)
+    return PortStatus(PortFault.NONE, "", state, asked_at)
+
+
+def blamed(statuses: Sequence[PortStatus | None]) -> int | None:
+    """Return which end of a connection of two ports is to blame; None: none, or it is not clear.
+
+    When an end dies or hangs the other drops the connection, or hangs as it asks that end. So what
+    a port says of the connection counts when the other end was asked after it, and answered.
+
+    Args:
+        statuses: what was found last at each end; None: nothing yet.
+    """
+    faults = [PortFault.NONE if status is None else status.fault for status in statuses]
+    worst = max(range(2), key=lambda end: faults[end])
+    status, other = statuses[worst], statuses[1 - worst]
+    if status is None or status.fault <= PortFault.INACTIVE:
+        return None
+    if status.fault in _OF_THE_COMPONENT:
+        return worst
+    return worst if other is not None and other.asked_at > status.wrong_at else None
 
 
 @frozen
@@ -87,39 +124,35 @@ class RemotePort:
         """The port's name, for errors."""
         return f"port {self.port.name!r} of component {self.peer.path!r}"
 
-    def check(self, connector: Connector, end: int = 0) -> PortStatus:
-        """Check the component and its end of a connection; activate it where that is asked.
+    def check(self, connector: Connector, end: int, component: PortStatus) -> PortStatus:
+        """Check the end of a connection; activate the component where that is asked.
 
         Args:
             connector: the connection.
             end: which of its ports this one is.
+            component: what was found of the component, which answers.
         """
-        try:
-            state = state_of(self.peer, self.seconds)
-        except BridgeTimeoutError:
-            return PortStatus(PortFault.HANGS, "does not answer: it hangs", "")
-        except BridgeError as error:
-            return PortStatus(PortFault.GONE, str(error), "")
-        if state == "error":
-            text = "its component has failed: it is in state ERROR"
-            return PortStatus(PortFault.FAILED, text, state)
+        begin = time.monotonic()
         try:
             is_connected = connector.alive(end)
         except BridgeTimeoutError:
             # A port may be asking the other one, which hangs; so that is the surer sign.
-            return PortStatus(PortFault.STUCK, "does not answer: it hangs", state)
+            text = "does not answer: it hangs"
+            return evolve(component, fault=PortFault.STUCK, cause=text, wrong_at=begin)
         except BridgeError:
             # Ports of OpenRTM in Python answer with what came of asking the other one (observed).
             is_connected = False
         if not is_connected:
-            return PortStatus(PortFault.ENDED, "has ended the connection", state)
+            text = "has ended the connection"
+            return evolve(component, fault=PortFault.ENDED, cause=text, wrong_at=time.monotonic())
+        state = component.state
         if state == "active":
-            return PortStatus(PortFault.NONE, "", state)
+            return component
         if self.options.activate == "keep":
             with contextlib.suppress(BridgeError):  # it stays inactive, which is reported
                 change(self.peer, "activate", self.seconds, there_is_fine=True)
         text = f"its component is {_IDLE.get(state, state)}: it does nothing now"
-        return PortStatus(PortFault.INACTIVE, text, state)
+        return evolve(component, fault=PortFault.INACTIVE, cause=text)
 
 
 class ConnectorHealth:
@@ -145,7 +178,7 @@ class ConnectorHealth:
         self._remote = remote
         self._about = {"component": component} if component else {"channel": channel}
         health = ChannelHealth(remote.where, time.monotonic(), stale_after=stale_after)
-        # Messages come in threads of the ORB, checks in the ticker's.
+        # Messages come in threads of the ORB, checks in those of the watch.
         self._monitor = ChannelMonitor(health, self._report)
         self._monitor.connected()
         self.lost = ""
@@ -165,11 +198,9 @@ class ConnectorHealth:
         """Report that the connection is over; nothing comes after that."""
         self._monitor.connected(0, cause)
 
-    def check(self, connector: Connector) -> None:
-        """Check a connection: the component's state, its end, a silence that is too long."""
+    def tick(self) -> None:
+        """Report a silence that is too long, without a call."""
         self._monitor.tick()
-        if not self.lost:
-            self.take(self._remote.check(connector))
 
     def take(self, status: PortStatus) -> None:
         """Report what a check found."""
@@ -201,252 +232,160 @@ class ConnectorHealth:
             self._remote.report(health, cause, **self._about)
 
 
-_AGAIN_SECONDS = 0.02
+class LinkHealth:
+    """Reports how both ends of a native link are; of a loss, the one to blame, once.
 
-_log = logging.getLogger("uoarm.rtm")
-
-Tick = Callable[[], None]
-
-
-class Ticker:
-    """A thread that calls some ticks again and again, each on its own, and others on request.
+    `is_lost` is whether that was reported.
 
     Args:
-        ticks: returns what to call now.
-        seconds: pause between rounds; 0 for no thread at all.
+        where: which ports are connected, for the cause.
+        ends: both, the one first that is asked first for the connection.
     """
 
-    def __init__(self, ticks: Callable[[], list[Tick]], seconds: float) -> None:
-        self._ticks = ticks
-        self._seconds = seconds
-        # Guards the two fields below: components request checks in threads of the ORB.
-        self._changed = threading.Condition(threading.Lock())
-        self._ended = False
-        self._urgent: dict[Tick, None] = {}
-        self._thread = threading.Thread(target=self._run, name="uoarm-rtm-watch", daemon=True)
+    def __init__(self, where: str, *ends: ConnectorHealth) -> None:
+        self._where = where
+        self._ends = ends
+        # Guards both fields below: the ends are checked in different threads.
+        self._lock = threading.Lock()
+        self._statuses: list[PortStatus | None] = [None] * len(ends)
+        self.is_lost = False
 
-    def start(self) -> None:
-        """Begin, where there are rounds at all."""
-        if self._seconds:
-            self._thread.start()
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The states of both components at their last checks."""
+        return tuple(end.state for end in self._ends)
 
-    def soon(self, tick: Tick) -> None:
-        """Have a tick called next, after the one under way, and once more 20 ms later.
+    def judge(self, end: int, status: PortStatus) -> bool:
+        """Take what a check found at one end.
 
-        A component reports a state before it is in it (observed). Several that wait are one.
+        Returns:
+            whether the other end is to be asked, to know which is to blame.
         """
-        with self._changed:
-            self._urgent[tick] = None
-            self._changed.notify_all()
-
-    def close(self, seconds: float) -> None:
-        """End the thread after the tick under way, and wait for that up to `seconds`.
-
-        A thread that lets go of references while the interpreter ends aborts the process.
-        """
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
-            self._thread.join(seconds)
-
-    def _run(self) -> None:
-        while self._look() and self._rest(self._seconds):
-            pass
-
-    def _look(self) -> bool:
-        """Call each once; returns whether to go on."""
-        # Not in the frame of `_run`, which would keep the last one while it rests.
-        for tick in self._ticks():
-            if not self._rest(0):
+        with self._lock:
+            self._statuses[end] = status
+            if self.is_lost:
                 return False
-            _call(tick)
-        return True
+            worst = blamed(self._statuses)
+            self.is_lost = worst is not None
+            statuses = tuple(self._statuses)
+        if worst is not None:
+            self._lose(worst, statuses)
+            return False
+        if status.fault > PortFault.INACTIVE:
+            self._ends[end].state = status.state
+            return True
+        self._ends[end].take(status)
+        return False
 
-    def _rest(self, seconds: float) -> bool:
-        """Let time pass, and call what is urgent meanwhile; returns whether to go on.
-
-        What comes faster than it is called does not keep the others from their turn.
-        """
-        until = time.monotonic() + seconds
-        while True:
-            with self._changed:
-                left = until - time.monotonic()
-                self._changed.wait_for(lambda: self._ended or self._urgent, left)
-                if self._ended:
-                    return False
-                urgent, self._urgent = self._urgent, {}
-            if not urgent:
-                return True
-            for _ in range(2):
-                for tick in urgent:
-                    _call(tick)
-                with self._changed:  # also because a component may report without end
-                    if self._changed.wait_for(lambda: self._ended, _AGAIN_SECONDS):
-                        return False
-            if time.monotonic() >= until:
-                return True
+    def _lose(self, end: int, statuses: Sequence[PortStatus | None]) -> None:
+        for health, known in zip(self._ends, statuses, strict=True):
+            health.state = "" if known is None else known.state
+        found = statuses[end]
+        assert found is not None
+        text = f"{found.cause}; it was connected from {self._where}"
+        if all(known is not None and known.fault is PortFault.ENDED for known in statuses):
+            text = f"the components have ended the connection from {self._where}"
+        self._ends[end].take(evolve(found, cause=text))
 
 
-def _call(tick: Tick) -> None:
-    try:
-        tick()
-    except Exception:  # noqa: BLE001 - one that fails hurts no other
-        _log.exception("a check of OpenRTM failed")
+class CheckedChannel(Protocol):
+    """What checks need of a channel."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether it needs no check any more."""
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether that was reported: there is nothing to add."""
+
+    def judge(self, end: int, status: PortStatus) -> bool:
+        """Report what a check found at one end; returns whether the other is to be asked first."""
 
 
-_AT_ONCE = 8
+@define(eq=False)
+class WatchedPort:
+    """One end of a channel's connection.
 
-
-class _Observer(OpenRTM__POA.ComponentObserver):  # type: ignore[misc]  # generated
-    """What one component calls."""
-
-    def __init__(self, notify: Tick) -> None:
-        self._notify = notify
-
-    def update_status(self, status_kind: Any, hint: str) -> None:
-        """Take an event (CORBA operation, without an answer); a check finds out what it means."""
-        del status_kind, hint
-        self._notify()
-
-
-@define
-class _Observed:
-    """One component: the checks of its channels, and our observer there once it was asked for."""
-
-    peer: PeerComponent
-    ticks: dict[Channel, Tick] = Factory(dict)
-    is_asked: bool = False
-    id: str = ""
-    reference: Any = None
-    configuration: Any = None
-
-
-class Observers:
-    """The observers of one bridge: one in each component that an open channel leads to.
-
-    Args:
-        orb: where they are served.
-        name: of the bridge, which they carry.
-        seconds: limit of each call.
-        soon: has a check made before its turn, in another thread.
+    Attributes:
+        channel: that is open there.
+        remote: the port.
+        connector: the connection.
+        end: which of its ports this one is.
+        other: the component at the other end, which may be to blame.
     """
 
-    def __init__(self, orb: Orb, name: str, seconds: float, soon: Callable[[Tick], None]) -> None:
-        self._orb = orb
-        self._properties = {
-            NAME: name,
-            PROCESS: journal().process,
-            "observed_status": "RTC_STATUS,EC_STATUS",
-            "heartbeat.enable": "NO",
-        }
+    channel: CheckedChannel
+    remote: RemotePort
+    connector: Connector
+    end: int = 0
+    other: WatchedComponent | None = None
+    _component: PortStatus | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether there is nothing to ask any more."""
+        return self.channel.closed or self.channel.is_lost
+
+    def component_answers(self, status: PortStatus) -> None:
+        """Keep what was found of the component, for the next check."""
+        self._component = status
+
+    def check(self) -> None:
+        """Ask the port for its connection, after its component has answered."""
+        component = self._component
+        if component is not None and not self.is_over:
+            self.take(self.remote.check(self.connector, self.end, component))
+
+    def take(self, status: PortStatus) -> None:
+        """Report what was found, once it is clear whose fault it is."""
+        if not self.is_over and self.channel.judge(self.end, status) and self.other is not None:
+            self.other.check_soon()
+
+
+class WatchedComponent:
+    """A component in which channels are open: asked once for all of them.
+
+    Args:
+        peer: the component.
+        seconds: limit of each call.
+        ticker: makes the checks.
+    """
+
+    def __init__(self, peer: PeerComponent, seconds: float, ticker: Ticker) -> None:
+        self.peer = peer
         self._seconds = seconds
-        self._soon = soon
-        # Guards the table, never held while a component is called.
+        self._ticker = ticker
+        # Guards the ports, from channels that open in any thread.
         self._guard = threading.Lock()
-        # Held while components are called: `close` waits for a registration under way, which
-        # would be left behind otherwise.
-        self._changing = threading.Lock()
-        self._closed = False
-        self._observed: dict[str, _Observed] = {}
+        self._ports: list[WatchedPort] = []
 
-    def enter(self, channel: Channel, tick: Tick, peer: PeerComponent) -> None:
-        """Have a component's events bring a channel's check forward, while the channel is open.
-
-        Does not block: the component is asked in the thread of the checks.
-        """
-        key = self._orb.text(peer.reference)  # one that came back is another
+    def enter(self, port: WatchedPort) -> None:
+        """Check a port from now on, as long as its channel is open."""
         with self._guard:
-            self._observed.setdefault(key, _Observed(peer)).ticks[channel] = tick
-        self._soon(self.tick)
+            self._ports.append(port)
 
-    def tick(self) -> None:
-        """Ask components that are new to take an observer, and remove those of closed channels."""
-        with self._changing:
-            for key, observed in self._all():
-                if self._closed:
-                    return
-                with self._guard:
-                    for channel in [channel for channel in observed.ticks if channel.closed]:
-                        del observed.ticks[channel]
-                    is_over = not observed.ticks
-                    if is_over:
-                        del self._observed[key]
-                if is_over:
-                    self._remove(observed)
-                elif not observed.is_asked:
-                    self._register(observed)
-
-    def close(self, seconds: float | None = None) -> None:
-        """Remove all; idempotent.
-
-        Args:
-            seconds: one after the other for so long, in a process in which no thread can begin
-                any more; what is left then is the next process's. None: several at once.
-        """
-        self._closed = True
-        with self._changing:
-            left = [observed for _, observed in self._all()]
-            with self._guard:
-                self._observed.clear()
-            if seconds is not None:
-                deadline = time.monotonic() + seconds
-                for observed in left:
-                    if time.monotonic() < deadline:
-                        self._remove(observed)
-            elif left:
-                with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-observers") as pool:
-                    list(pool.map(self._remove, left))
-
-    def _all(self) -> list[tuple[str, _Observed]]:
+    @property
+    def is_used(self) -> bool:
+        """Whether a channel is open there."""
         with self._guard:
-            return list(self._observed.items())
+            self._ports = [port for port in self._ports if not port.channel.closed]
+            return bool(self._ports)
 
-    def _register(self, observed: _Observed) -> None:
-        observed.is_asked = True
-        path = observed.peer.path
+    def check_soon(self) -> None:
+        """Have the next check before its turn."""
+        self._ticker.soon(self.check)
 
-        def notify() -> None:
-            with self._guard:
-                ticks = list(observed.ticks.values())
-            for tick in ticks:
-                self._soon(tick)
-
-        try:
-            with corba_errors(f"component {path!r}: its configuration"):
-                found = observed.peer.reference.get_configuration()
-                if found is None:
-                    return
-                observed.configuration = limit(found, self._seconds)
-            observed.reference = self._orb.serve(_Observer(notify))
-            observed.id = f"uoarm-{uuid.uuid4()}"
-            ior = self._orb.text(observed.configuration)
-            journal().write(
-                JournalEntry(observed.id, (ior,), f"observer in {path}", is_observer=True)
-            )
-            profile = SDOPackage.ServiceProfile(
-                observed.id,
-                OpenRTM.ComponentObserver._NP_RepositoryId,  # noqa: SLF001 - of generated code
-                pairs(self._properties),
-                observed.reference,
-            )
-            with corba_errors(f"component {path!r}: registering an observer"):
-                is_taken = observed.configuration.add_service_profile(profile)
-        except BridgeError as error:
-            _log.debug("%s", error)
-            is_taken = False
-        if is_taken:
-            notify()  # it may have changed before it knew us
-        else:
-            _log.debug("component %s takes no observer: it is only checked", path)
-            self._remove(observed)
-
-    def _remove(self, observed: _Observed) -> None:
-        if observed.reference is not None:
-            self._orb.withdraw(observed.reference)
-        if observed.id:
-            # One that does not answer may still have it: then it stays in the journal.
-            with contextlib.suppress(CORBA.Exception), calls:
-                end_observer(observed.id, observed.configuration)
-                journal().erase(observed.id)
-        observed.id, observed.reference = "", None
+    def check(self) -> None:
+        """Ask for the component's state; where it answers, each port is asked next."""
+        with self._guard:
+            ports = [port for port in self._ports if not port.is_over]
+        if not ports:
+            return
+        status = component_status(self.peer, self._seconds)
+        for port in ports:
+            if status.fault is PortFault.NONE:
+                port.component_answers(status)
+                self._ticker.follow(port.check)
+            else:
+                port.take(status)
