@@ -86,6 +86,7 @@ class _Service:
 
     def __init__(self) -> None:
         self.awake = threading.Event()
+        self.sleeping: list[None] = []  # one for each call
 
     def answer(self, message: Any) -> Any:
         operation, arguments = message["operation"], message["arguments"]
@@ -101,6 +102,7 @@ class _Service:
         if operation == "stuck":
             self.awake.wait()
         if operation == "sleep":
+            self.sleeping.append(None)
             self.awake.wait(arguments["seconds"])
             return {}
         if operation == "echo":
@@ -350,6 +352,10 @@ class Process:
         name = f"{self._component.profile.name}.served"
         servant = servant_of(found, "", self._service.answer)
         self._component.add_port(ServicePort(self._orb, name, found, servant))
+
+    def sleepers(self) -> int:
+        """Return how many calls began to sleep."""
+        return len(self._service.sleeping)
 
     def wake(self) -> None:
         """Let the operations that sleep or are stuck answer."""

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from _uoarm_rtm_stubs import RTC
 from attrs import evolve
-from endpoints import Inbox, endpoint, sink, source, stamped
+from endpoints import HANGS_AFTER, Inbox, endpoint, sink, source, stamped
 from jsonschema import Draft202012Validator
 from peers import Peer
 from uoarm_rtm import _bridge
@@ -103,6 +103,28 @@ def test_a_slow_or_failing_service_is_an_error_in_time(make_bridge: Make, robot:
         bridge.call(endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::fail"), {})
     with pytest.raises(BridgeError, match=r"is not known \(the option `idl`"):
         bridge.describe(endpoint(Role.SERVICE, "Robot.rtc", "served", "Unknown"))
+
+
+def test_a_component_that_is_busy_with_many_calls_does_not_hang(
+    make_bridge: Make, robot: Peer
+) -> None:
+    bridge, events = make_bridge(idl=IDL, watch=0.1, call_timeout=HANGS_AFTER), Inbox()
+    bridge.watch(events)
+    robot.activate()
+    channel = sink(bridge, endpoint(Role.INPUT, "Robot.rtc", "in"))
+    sleep = endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::sleep", timeout=10 * patience())
+    request = {"seconds": 10 * patience()}
+    calling = [
+        Background(lambda: bridge.call(sleep, request, timeout=10 * patience())) for _ in range(20)
+    ]
+    wait(lambda: robot.sleepers() == 20)  # omniORB has five connections to a server by itself
+    channel.send(stamped(1))
+    robot.deactivate()
+    assert events.event(Health.DEGRADED, "is inactive").channel is channel
+    assert [event.health for event in events.messages] == [Health.DEGRADED]
+    robot.wake()
+    for call in calling:
+        call.result()
 
 
 def test_a_service_that_came_back_is_reached_again(make_bridge: Make, peer: Start) -> None:

@@ -17,12 +17,11 @@ from attrs import frozen
 from omniORB import CORBA, URI
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm_rtm._orb import Orb, corba_errors, limit, narrowed
+from uoarm_rtm._orb import MOST_CONNECTIONS, Orb, corba_errors, limit, narrowed
 
 _BATCH = 200
 _MOST_NAMES = 10_000
 _DEEPEST = 16
-_CONNECTIONS = 5  # that omniORB keeps to one server at most
 _HOST = re.compile(r"[\w.\-]+(:\d{1,5})?|\[[0-9a-fA-F:]+\](:\d{1,5})?")
 
 
@@ -77,7 +76,7 @@ def _afresh(ask: Callable[Asked, Answer]) -> Callable[Asked, Answer]:
 
     @wraps(ask)
     def asked(*arguments: Asked.args, **named: Asked.kwargs) -> Answer:
-        for _ in range(_CONNECTIONS):
+        for _ in range(MOST_CONNECTIONS):
             try:
                 return ask(*arguments, **named)
             except BridgeError as error:

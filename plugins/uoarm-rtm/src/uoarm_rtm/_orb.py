@@ -125,6 +125,8 @@ def corba_text(error: CORBA.Exception) -> str:
     return text
 
 
+MOST_CONNECTIONS = 256
+"""From this process to one server at once; they are opened as they are needed."""
 _MOST_OCTETS = 1 << 26
 _IDLE_SECONDS = "10"
 _DRAIN_SECONDS = 4.0
@@ -308,6 +310,9 @@ def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
         arguments = {
             "clientCallTimeOutPeriod": str(int(call_seconds * 1000)),
             "clientConnectTimeOutPeriod": str(int(call_seconds * 1000)),
+            # Each call under way has a connection. With five, as usual, a component that is busy
+            # with as many calls would seem to hang, since a check would wait for one of these.
+            "maxGIOPConnectionPerServer": str(MOST_CONNECTIONS),
             "supportPerThreadTimeOut": "1",
             "endPoint": f"giop:tcp:{address}:",
             "giopMaxMsgSize": str(most_octets),
