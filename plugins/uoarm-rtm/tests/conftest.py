@@ -73,5 +73,7 @@ def peer(nameserver: str) -> Iterator[Callable[..., Peer]]:
         return process
 
     yield start
+    for process in started:  # one that ends disconnects from the others, of which none may hang
+        process.thaw()
     for process in started:
         process.end()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from typing import Any
 
+from uoarm_rtm._orb import limit
+
 from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import patience, slowness, wait
@@ -14,6 +16,8 @@ ANSWERS = 60.0
 # As `call_timeout`: within it all answer but what hangs, on a machine that is busy, or stands
 # still for some seconds, too.
 HANGS_AFTER = max(12.0, 3 * slowness())
+# Of calls to what hangs, and to nothing else.
+SHORT = 0.5
 
 
 def endpoint(role: Role, *address: str, **options: Any) -> Endpoint:
@@ -39,6 +43,14 @@ def sink(bridge: Bridge, at: Endpoint) -> Any:
 
 def stamped(data: Any, sec: int = 1) -> Any:
     return {"tm": {"sec": sec, "nsec": 2}, "data": data}
+
+
+def shorten(bridge: Bridge, path: str) -> None:
+    """Give the checks of a component that is to hang a short limit; others answer late, and may."""
+    for component in vars(bridge)["_watched"].values():
+        if component.peer.path == path:
+            component._seconds = SHORT
+            limit(component.peer.reference, SHORT)
 
 
 def checked(bridge: Bridge, path: str = "") -> None:

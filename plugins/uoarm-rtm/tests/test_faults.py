@@ -12,11 +12,22 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, HANGS_AFTER, Inbox, checked, endpoint, sink, source, stamped
+from endpoints import (
+    ANSWERS,
+    HANGS_AFTER,
+    SHORT,
+    Inbox,
+    checked,
+    endpoint,
+    sink,
+    source,
+    stamped,
+)
 from peers import Peer
 from uoarm_rtm import _peer, nameserver
 from uoarm_rtm._channels import OutPortSource
 from uoarm_rtm._journal import end_connector
+from uoarm_rtm._orb import calls, limit
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge
@@ -100,8 +111,42 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
     assert events.event(Health.OK, "answers again").component == "Mortal.rtc"
 
 
-def test_a_connection_that_a_hung_component_makes_later_is_undone(
+def test_a_bridge_has_its_own_limit_where_one_with_a_longer_one_began_the_orb(
     make_bridge: Make, peer: Start
+) -> None:
+    patient = make_bridge("patient", watch=0)
+    hasty = make_bridge("hasty", watch=0, call_timeout=SHORT)
+    component = peer("Mortal")
+    component.freeze()
+    has_ended = threading.Event()
+
+    def ask() -> None:
+        try:
+            patient.describe(OUT, timeout=patience())
+        finally:
+            has_ended.set()
+
+    asking = Background(ask)
+    wait(lambda: calls._count == 1)
+    with pytest.raises(BridgeTimeoutError):
+        hasty.describe(OUT, timeout=patience())
+    assert not has_ended.is_set()
+    component.thaw()
+    asking.result()
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Has ports that are connected from now on give up soon; other calls have their limits."""
+
+    def shorten(reference: Any, seconds: float) -> Any:
+        return limit(reference, min(SHORT, seconds))
+
+    return lambda: monkeypatch.setattr(_peer, "limit", shorten)
+
+
+def test_a_connection_that_a_hung_component_makes_later_is_undone(
+    make_bridge: Make, peer: Start, impatient: Callable[[], None]
 ) -> None:
     bridge = make_bridge(call_timeout=HANGS_AFTER, watch=0)
     component = peer("Mortal")
@@ -112,6 +157,7 @@ def test_a_connection_that_a_hung_component_makes_later_is_undone(
     # that the component finds when it wakes up is to be that which connects.
     remote.port.reference.get_port_profile()
     component.freeze()
+    impatient()
     with pytest.raises(BridgeTimeoutError):
         OutPortSource(remote, Collector())
     component.thaw()
@@ -121,7 +167,10 @@ def test_a_connection_that_a_hung_component_makes_later_is_undone(
 
 
 def test_a_connection_that_is_made_after_its_undoing_is_undone_too(
-    make_bridge: Make, peer: Start, monkeypatch: pytest.MonkeyPatch
+    make_bridge: Make,
+    peer: Start,
+    monkeypatch: pytest.MonkeyPatch,
+    impatient: Callable[[], None],
 ) -> None:
     """As where the request that undoes it overtakes that which makes it."""
     bridge = make_bridge(call_timeout=HANGS_AFTER, watch=0)
@@ -138,6 +187,7 @@ def test_a_connection_that_is_made_after_its_undoing_is_undone_too(
 
     monkeypatch.setattr(_peer, "end_connector", ended)
     component.hold_connections()
+    impatient()
     with pytest.raises(BridgeTimeoutError):
         bridge.open_source(pulled, structure, Inbox())
     assert overtook.wait(patience())

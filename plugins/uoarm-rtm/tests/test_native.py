@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, HANGS_AFTER, Inbox, of, stamped
+from endpoints import ANSWERS, HANGS_AFTER, Inbox, of, shorten, stamped
 from peers import Peer
 
 from uoarm import RobotManager
@@ -64,6 +64,8 @@ def test_the_end_at_fault_is_blamed_and_the_other_released(
         item.activate()
     link = linked_options(bridge, {}, {})
     assert link is not None
+    if "hangs" in fault:
+        shorten(bridge, f"{blamed}.rtc")
     happen(*ends.values())
     if fault == "the sink dies":
         ends["From"].count(0, 1)  # at which the source drops the connection

@@ -308,8 +308,9 @@ def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
         calls.begin()
         foreign = omniORB.orb is not None
         arguments = {
+            # No limit for connecting of its own: the first call through a new connection would have
+            # at least that, whatever its reference's limit (observed). Calls include connecting.
             "clientCallTimeOutPeriod": str(int(call_seconds * 1000)),
-            "clientConnectTimeOutPeriod": str(int(call_seconds * 1000)),
             # Each call under way has a connection. With five, as usual, a component that is busy
             # with as many calls would seem to hang, since a check would wait for one of these.
             "maxGIOPConnectionPerServer": str(MOST_CONNECTIONS),
