@@ -326,14 +326,32 @@ async def test_when_the_server_closes_everything_that_waits_fails(serve: Serve) 
         stream = await client.request("numbers")
         slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
         await client.status()
+        client._link.most = None  # as a client that does not know: the server closes
         with pytest.raises(ConnectionClosedError):
-            await client.call("add", {"a": "x" * 3000})  # too long: the server closes
+            await client.call("add", {"a": "x" * 3000})
         with pytest.raises(ConnectionClosedError):
             await slow
         with pytest.raises(ConnectionClosedError):
             await stream.get()
         with pytest.raises(ConnectionClosedError):
             await client.functions()
+
+
+@FORMS
+async def test_what_is_longer_than_the_server_takes_ends_itself_only(
+    serve: Serve, binary: bool
+) -> None:
+    server = serve(Limits(message_bytes=2000))
+
+    async with joined(server, binary=binary) as client:
+        stream = await client.request("numbers")
+        long = "the message has 3,0.. octets; the server takes 2,000 at most"
+        with pytest.raises(MessageError, match=long):
+            await client.call("add", {"a": "x" * 3000})
+        with pytest.raises(MessageError, match=long):
+            await asked_in_thread(client, "x" * 3000, patience())
+        assert await client.call("add", {"a": 1, "b": 2})
+        await stream.kill()
 
 
 async def test_a_token_is_shown_and_a_denial_has_its_code(serve: Serve, tmp_path: Path) -> None:

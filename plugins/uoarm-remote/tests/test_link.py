@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from robots import ROBOT, ServedRobot, here
 
 from uoarm import QueuePolicy, RobotManager
 from uoarm.bridge import Bridge, Registry
+from uoarm.client import RemoteRobot
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, MessageError, ResolutionError
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
@@ -40,6 +41,7 @@ functions:
   counter: {{components: [{{name: far_counter, bridge: robot3, output: {{endpoint: [counter]}}}}]}}
   drive: {{components: [{{name: far_base, bridge: robot3, input: {{endpoint: [drive]}}}}]}}
   double: {{components: [{{name: far_double, bridge: robot3, service: {{endpoint: [double]}}}}]}}
+  length: {{components: [{{name: far_length, bridge: robot3, service: {{endpoint: [length]}}}}]}}
   hidden: {{components: [{{name: far_hidden, bridge: robot3, service: {{endpoint: [silent]}}}}]}}
 """
 
@@ -78,6 +80,44 @@ def test_streams_commands_and_services_pass(robot: ServedRobot, desk: Desk) -> N
         drive.send({"speed": 0.5})
         wait(lambda: 0.5 in stage.taken, "the command did not arrive")
     assert manager.call("double", {"value": 21}, timeout=patience()) == {"value": 42}
+
+
+def test_a_message_that_is_longer_than_the_other_takes_ends_nothing_else(
+    robot: ServedRobot, desk: Desk
+) -> None:
+    manager = desk(robot.url)
+    with manager.request("counter") as counter:
+        with pytest.raises(MessageError, match="the server takes 16,777,216 at most"):
+            manager.call("length", "x" * 17_000_000, timeout=patience())
+        assert manager.call("length", "x" * 100_000, timeout=patience()) == {"value": 100_000}
+        for _ in range(3):
+            counter.get(patience())
+        assert not counter.gaps
+    assert facts_of(manager)["breaks"] == 0
+
+
+def test_a_link_that_ends_in_no_known_way_is_made_anew(
+    robot: ServedRobot, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended, failures = RemoteRobot.ended, [AttributeError("call_soon")]
+
+    async def failing_once(client: RemoteRobot) -> str:
+        if failures:
+            raise failures.pop()
+        return await ended(client)
+
+    monkeypatch.setattr(RemoteRobot, "ended", failing_once)
+    manager = desk(robot.url)
+    with suppress(BridgeError, ResolutionError):  # as it fails: nothing or the answer
+        manager.call("double", {"value": 1}, timeout=patience())
+    wait(lambda: not failures, "it did not fail", patience())
+
+    def is_back() -> bool:
+        with suppress(BridgeError, ResolutionError):
+            return bool(manager.call("double", {"value": 2}, timeout=patience()) == {"value": 4})
+        return False
+
+    wait(is_back, "the link is not made anew", patience())
 
 
 def test_a_kill_here_ends_there_what_only_this_used(robot: ServedRobot, desk: Desk) -> None:

@@ -545,7 +545,7 @@ class RemoteRobot(ServerQuestions):
 
     def _take_status(self, kind: str, message: Message) -> None:
         if kind == "hello":
-            self.hello = message
+            self.hello, self._link.most = message, message.get("message_bytes")
         elif kind == "connection":
             stream = self._streams.pop(message["connection"], None)
             if stream is not None:

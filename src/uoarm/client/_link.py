@@ -24,7 +24,7 @@ from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.bridge import boot_seconds
 from uoarm.client._socket import ClientSocket, Received
-from uoarm.errors import ConnectionClosedError, ControlMessageError, UsageError
+from uoarm.errors import ConnectionClosedError, ControlMessageError, MessageError, UsageError
 from uoarm.model import Budget, BudgetUse
 
 # A server is believed more than a client is, but what it sends is bounded, too.
@@ -63,6 +63,7 @@ class Link:
 
     Attributes:
         session: how many sessions were begun after the first.
+        most: octets of a message that the server takes; None: it has not said so yet.
     """
 
     def __init__(
@@ -100,6 +101,7 @@ class Link:
         self._is_final = False
         self.resumed = 0
         self.session = 0
+        self.most: int | None = None
         self.closed = ""
 
     async def start(self, *, resume: bool) -> None:
@@ -118,11 +120,11 @@ class Link:
             session: in which alone it is sent; None: the one of now.
 
         Raises:
-            MessageError: it has no form.
+            MessageError: it has no form, or is longer than the server takes.
             ConnectionClosedError: it has ended for good; or another session was begun meanwhile:
                 what was asked of the one before has failed, and is not done after that.
         """
-        frame = self._form.write(fields)
+        frame = self._framed(fields)
         session = self.session if session is None else session
         await self._ready.wait()
         if self.closed or self._socket is None:
@@ -144,11 +146,11 @@ class Link:
             False where it was not sent: it is to be sent with `send`.
 
         Raises:
-            MessageError: it has no form.
+            MessageError: it has no form, or is longer than the server takes.
         """
         if self._form.text:
             return False
-        frame, identity = self._form.write(fields), fields["id"]
+        frame, identity = self._framed(fields), fields["id"]
         with self._changing:
             socket = self._at_once if session == self.session else None
             if socket is None:
@@ -158,6 +160,14 @@ class Link:
                 return True
             self._unanswered.pop(identity, None)
         return False
+
+    def _framed(self, fields: Mapping[str, Any]) -> bytes:
+        frame = self._form.write(fields)
+        if self.most is not None and len(frame) > self.most:
+            # The server would end the connection for it, and all that is open in it.
+            text = f"the message has {len(frame):,} octets; the server takes {self.most:,} at most"
+            raise MessageError(text)
+        return frame
 
     def _begin_to_send(self) -> None:
         self._ready.set()

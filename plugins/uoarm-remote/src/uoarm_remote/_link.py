@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
+import logging
 import ssl
 import threading
 import time
@@ -33,6 +34,8 @@ from uoarm.errors import (
     UsageError,
 )
 from uoarm_remote._options import ManagerOptions
+
+_log = logging.getLogger("uoarm.remote")
 
 T = TypeVar("T")
 _BACKOFF = Backoff(first=0.1, most=5.0, jitter=0.5)
@@ -330,6 +333,9 @@ class ManagerLink:
                 return ended.result()
         except CONNECTING_ERRORS as error:
             return why_unreachable(error)
+        except Exception as error:  # noqa: BLE001 - it is reported, and tried again
+            _log.exception("%s: the link failed", self.place)
+            return text_of(error)
 
     def _greeted(self, robot: RemoteRobot, began: float) -> None:
         came = time.time()
