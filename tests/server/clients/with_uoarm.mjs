@@ -28,6 +28,8 @@ for (const binary of [false, true]) {
   await refused(robot.call("broken", { value: 6 }), "bridge");
   await refused(robot.call("slow", { value: 6 }, { timeout: 0.05 }), "timeout");
   await refused(robot.request("missing"), "resolution");
+  await refused(robot.call("add", { a: "x".repeat(robot.hello.message_bytes) }), "message");
+  await refused(robot.call("add", { a: "☃".repeat(robot.hello.message_bytes / 3) }), "message");
 
   // The test plays three numbers and a picture as soon as they are open.
   const doubled = await robot.request("doubled");

@@ -25,6 +25,12 @@ export class UoarmError extends Error {
   }
 }
 
+/** How many octets a frame has on the wire; of a text only where it may have more than `most`. */
+function octetsOf(frame, most) {
+  if (typeof frame !== "string") return frame.byteLength;
+  return frame.length * 3 > most ? new TextEncoder().encode(frame).length : frame.length;
+}
+
 /**
  * Sends and receives control messages; `take` gets all but those about resuming.
  *
@@ -53,6 +59,7 @@ export class Link {
   #wake = () => {};
   resumed = 0;
   restarts = 0;
+  most = Infinity;  // octets of a message that the server takes
 
   constructor({ open, form, timeout, resume, reconnect, take, lost, begun, wentOn, ended }) {
     this.#open = open;
@@ -81,7 +88,13 @@ export class Link {
 
   /** Send one message that will be answered, at once or when the connection is renewed. */
   send(fields) {
-    const received = { id: fields.id, frame: this.#form.write(fields) };
+    const frame = this.#form.write(fields);
+    const octets = octetsOf(frame, this.most);
+    if (octets > this.most) {  // the server would end the connection for it
+      const text = `the message has ${octets} octets; the server takes ${this.most} at most`;
+      throw new UoarmError("message", text);
+    }
+    const received = { id: fields.id, frame };
     if (this.#socket) this.#pass(received);
     else this.#queue.push(received);
   }

@@ -494,7 +494,10 @@ export class Robot {
   }
 
   #takeStatus(type, message) {
-    if (type === "hello") this.hello = message;
+    if (type === "hello") {
+      this.hello = message;
+      this.#link.most = message.message_bytes ?? Infinity;
+    }
     else if (type === "change") for (const watcher of this.#watchers) watcher.put(message);
     else if (type === "connection") {
       this.#streams.get(message.connection)?.finish(message.state, message.cause, message.number);
