@@ -102,6 +102,16 @@ def test_parity_is_asked_of_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
     assert asked[-1] & termios.PARODD
 
 
+def test_a_line_with_parity_is_opened_again() -> None:
+    with PseudoTerminal() as device:
+        for _ in range(3):
+            transport = SerialTransport(device.path, LineOptions(19200, 8, "O"))
+            transport.open(LIMIT)
+            device.write(b"here")
+            assert read_until(transport, 4) == b"here"
+            transport.close()
+
+
 @pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # inside pyserial
 def test_rfc2217_works() -> None:
     with listening() as (server, port):

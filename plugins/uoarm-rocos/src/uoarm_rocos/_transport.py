@@ -7,6 +7,7 @@ import socket
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 import serial
 
@@ -17,8 +18,20 @@ from uoarm_rocos._options import LineOptions, tcp_address
 TICK_SECONDS = 0.05
 _WRITE_SECONDS = 2.0
 _MOST = 65_536
+_TERMINAL: tuple[type[Exception], ...] = ()
+with suppress(ImportError):  # it is not on Windows
+    import termios
+
+    _TERMINAL = (termios.error,)
 # What sockets and ports raise; pyserial TypeError when a port is closed under a read.
-_FAILURES = (OSError, ValueError, TypeError, NotImplementedError)
+_FAILURES: tuple[type[Exception], ...] = (
+    OSError,
+    ValueError,
+    TypeError,
+    NotImplementedError,
+    *_TERMINAL,
+)
+_PSEUDO_TERMINALS = range(136, 144)  # the numbers of their devices on Linux
 
 
 class LineTransport(ABC):
@@ -144,13 +157,24 @@ class SerialTransport(LineTransport):
     def open(self, timeout: float) -> None:
         """Open the port; `timeout` is the concern of pyserial, which has limits of its own."""
         del timeout
+        parity = self._options.parity
+        if parity != serial.PARITY_NONE and _is_pseudo_terminal(self._url):
+            # It has no parity, and takes the wish for one only beside another change: not from
+            # who opens it again.
+            with suppress(LineError):
+                self._port = self._opened(parity)
+                return
+            parity = serial.PARITY_NONE
+        self._port = self._opened(parity)
+
+    def _opened(self, parity: str) -> serial.Serial:
         options = self._options
         try:
-            self._port = serial.serial_for_url(
+            return serial.serial_for_url(
                 self._url,
                 baudrate=options.baud,
                 bytesize=options.bits,
-                parity=options.parity,
+                parity=parity,
                 stopbits=options.stop,
                 xonxoff=options.xonxoff,
                 timeout=TICK_SECONDS,
@@ -221,3 +245,10 @@ def _write_now(descriptor: int, data: bytes, what: str) -> int:
 
 def _line_error(what: str, error: Exception) -> LineError:
     return LineError(f"{what}: {text_of(error)}")
+
+
+def _is_pseudo_terminal(path: str) -> bool:
+    try:
+        return os.major(Path(path).stat().st_rdev) in _PSEUDO_TERMINALS
+    except OSError:
+        return False
