@@ -88,7 +88,7 @@ WITHIN = {
         {"_verdict"},
         {"regex"},
         {"read"},
-        {"solve"},
+        {"solve", "_rewrite"},
         {"_decide"},
         {"_check"},
         {"__init__", "__main__"},
@@ -110,7 +110,7 @@ WITHIN = {
 }
 ALONE = {
     "schema": {"schema"},
-    "_wire": {"_wire", "model", "errors"},
+    "_wire": {"_wire", "model", "schema", "errors"},
     "cdr": {"cdr", "model", "errors", "_deferred"},
     "local": {"local", "bridge", "_hints", "model", "errors"}
     | {"_arguments", "_mistakes", "_raised", "_support"},

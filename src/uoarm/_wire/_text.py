@@ -21,6 +21,7 @@ from pybase64 import b64decode, b64encode
 
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, Message, Schema, count_names, read_json, scan_json
+from uoarm.schema import change_parts
 
 # No JSON text holds this character as it is: in a string it is written as an escape.
 _GAP = b"\0"
@@ -39,9 +40,6 @@ _SHOWN = 100
 _DIGITS = re.compile(r"-?(0|[1-9][0-9]{0,999})\Z")
 _NO_BASE64 = re.compile(r"[^A-Za-z0-9+/]")
 _NAMES = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
-_MAPS = ("properties", "patternProperties", "$defs", "dependentSchemas")
-_LISTS = ("prefixItems", "allOf", "anyOf", "oneOf")
-_ONES = ("items", "additionalProperties", "contains", "not", "if", "then", "else")
 
 
 def dump_parts(
@@ -245,16 +243,7 @@ def text_schema(schema: Schema, depth: int = 0) -> Schema:
         return schema
     if schema.get("x-octets") is True:
         return {"type": "string", "contentEncoding": "base64", "x-octets": True}
-    copied: dict[str, Any] = dict(schema)
-    for key in _MAPS:
-        if isinstance(found := copied.get(key), Mapping):
-            copied[key] = {name: text_schema(value, depth + 1) for name, value in found.items()}
-    for key in _LISTS:
-        if isinstance(found := copied.get(key), list | tuple):
-            copied[key] = [text_schema(item, depth + 1) for item in found]
-    for key in _ONES:
-        if isinstance(found := copied.get(key), Mapping):
-            copied[key] = text_schema(found, depth + 1)
+    copied = change_parts(schema, lambda part: text_schema(part, depth + 1))
     if _is_wide(schema):
         return {"anyOf": [copied, {"type": "string", "pattern": "^-?(0|[1-9][0-9]*)$"}]}
     if schema.get("x-nonfinite"):

@@ -19,6 +19,7 @@ from uoarm.cdr import RosDefinition, definition_of, deserialiser, structure_of_d
 from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
 from uoarm.model import Budget, BudgetUse, Message, MessageStructure, read_json, write_json
 from uoarm.record._reading import FileChannel
+from uoarm.schema import change_parts
 
 _ROS_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9_]*")
 _WORD = re.compile(r"[A-Za-z0-9]+")
@@ -195,9 +196,6 @@ RECORDED = "x-recorded"
 
 _BUDGET = Budget(octets=268_435_456, elements=5_000_000)
 _MOST_SCHEMA = 4 << 20
-_MAPS = ("properties", "patternProperties", "$defs", "definitions", "dependentSchemas")
-_LISTS = ("prefixItems", "allOf", "anyOf", "oneOf")
-_ONES = ("items", "additionalProperties", "contains", "not", "if", "then", "else")
 _OCTETS = {
     "type": "array",
     "items": {"type": "integer", "minimum": 0, "maximum": 255},
@@ -293,17 +291,7 @@ def _logical(schema: Any, depth: int = 0) -> Any:
         raise ValueError(f"it is nested more than {_MOST_DEPTH} levels deep")
     if schema.get("type") == "string" and schema.get("contentEncoding") == "base64":
         return _OCTETS
-    made: dict[str, Any] = dict(schema)
-    for key in _MAPS:
-        if isinstance(found := made.get(key), Mapping):
-            made[key] = {name: _logical(item, depth + 1) for name, item in found.items()}
-    for key in _LISTS:
-        if isinstance(found := made.get(key), list):
-            made[key] = [_logical(item, depth + 1) for item in found]
-    for key in _ONES:
-        if isinstance(found := made.get(key), Mapping):
-            made[key] = _logical(found, depth + 1)
-    return made
+    return change_parts(schema, lambda part: _logical(part, depth + 1))
 
 
 def _json_reader(

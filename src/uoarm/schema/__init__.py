@@ -10,6 +10,7 @@ from uoarm.schema._errors import SchemaError
 from uoarm.schema._verdict import CheckBudget, Loss, MismatchReason, Verdict
 
 if TYPE_CHECKING:
+    from uoarm.schema._rewrite import change_parts, enclose
     from uoarm.schema.regex import UnsupportedPatternError, found_in
 
 __all__ = [
@@ -19,7 +20,9 @@ __all__ = [
     "SchemaError",
     "UnsupportedPatternError",
     "Verdict",
+    "change_parts",
     "check",
+    "enclose",
     "found_in",
 ]
 
@@ -28,9 +31,9 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> object:
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        from uoarm.schema import regex  # noqa: PLC0415 - when first needed
+        from uoarm.schema import _rewrite, regex  # noqa: PLC0415 - when first needed
 
-        return getattr(regex, name)
+        return getattr(_rewrite if hasattr(_rewrite, name) else regex, name)
 
     def __dir__() -> list[str]:
         return sorted({*globals(), *__all__})

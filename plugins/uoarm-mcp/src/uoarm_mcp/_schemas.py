@@ -13,6 +13,7 @@ from jsonschema.exceptions import best_match
 
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
+from uoarm.schema import change_parts, enclose
 from uoarm.server.front_end import TEXT_FORM
 
 APPROVAL = "x-approval"
@@ -21,11 +22,7 @@ SECONDS = 30.0
 _WHOLE = "message"
 _HEADER = "x-mcp-header"
 _COMBINED = frozenset({"$ref", "$dynamicRef", "allOf", "anyOf", "oneOf", "not", "if"})
-_MAPS = ("properties", "patternProperties", "$defs", "definitions", "dependentSchemas")
-_LISTS = ("prefixItems", "allOf", "anyOf", "oneOf")
-_ONES = ("items", "additionalProperties", "contains", "unevaluatedItems", "unevaluatedProperties")
-_NAMED = ("$schema", "$id")  # of a whole document
-_PLACE = f"#/$defs/{_WHOLE}"
+_CONDITIONS = frozenset({"not", "if"})  # there a schema that takes more lets less through
 _EXACT = 2**53 - 1  # the greatest number of which each whole one below has a form of its own
 _BOUNDS = frozenset({"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"})
 _DIGITS = "^-?(0|[1-9][0-9]*)$"
@@ -119,7 +116,7 @@ class ToolArguments:
         )
         beside = {APPROVAL: {**_HANDLE, "description": "The approval that this is done with."}}
         if self._is_whole:
-            self.schema = _hoisted(schema, lambda moved: _object({_WHOLE: moved, **beside}, _WHOLE))
+            self.schema = enclose(schema, lambda moved: _object({_WHOLE: moved, **beside}, _WHOLE))
         else:
             self.schema = {**schema, "properties": {**properties, **beside}}
 
@@ -219,7 +216,7 @@ def output_schema(structure: MessageStructure | None) -> dict[str, Any]:
     def around(moved: dict[str, Any]) -> dict[str, Any]:
         return {**made, "properties": {**made["properties"], "result": moved}}
 
-    return _hoisted(answer_schema(structure), around)
+    return enclose(answer_schema(structure), around)
 
 
 def read_output(structure: MessageStructure) -> dict[str, Any]:
@@ -237,7 +234,7 @@ def read_output(structure: MessageStructure) -> dict[str, Any]:
         }
         return {"type": "object", "properties": properties, "required": ["messages"]}
 
-    return _hoisted(answer_schema(structure), around)
+    return enclose(answer_schema(structure), around)
 
 
 def answer_schema(structure: MessageStructure) -> dict[str, Any]:
@@ -281,48 +278,7 @@ def _inside(schema: Any, change: Callable[[dict[str, Any]], dict[str, Any]]) -> 
     """Return a schema in which each one within it, and then it, was changed."""
     if not isinstance(schema, Mapping):
         return schema
-    made: dict[str, Any] = dict(schema)
-    for key in _MAPS:
-        if isinstance(found := made.get(key), Mapping):
-            made[key] = {name: _inside(part, change) for name, part in found.items()}
-    for key in _LISTS:
-        if isinstance(found := made.get(key), list | tuple):
-            made[key] = [_inside(part, change) for part in found]
-    for key in _ONES:
-        if key in made:
-            made[key] = _inside(made[key], change)
-    return change(made)
-
-
-def _hoisted(schema: dict[str, Any], around: Any) -> dict[str, Any]:
-    """Put a schema into another one, with its definitions where its references look for them."""
-    inner = {name: part for name, part in schema.items() if name not in {"$defs", *_NAMED}}
-    if _refers_elsewhere(schema):
-        # All of it becomes a definition, in which references look below that.
-        moved = _inside({**inner, "$defs": schema.get("$defs", {})}, _moved)
-        made: dict[str, Any] = around({"$ref": _PLACE})
-        return {**made, "$defs": {_WHOLE: moved}}
-    made = around(inner)
-    return {**made, "$defs": schema["$defs"]} if "$defs" in schema else made
-
-
-def _refers_elsewhere(schema: dict[str, Any]) -> bool:
-    """Say whether references in it are to other places of it than definitions."""
-    found: list[str] = []
-
-    def note(part: dict[str, Any]) -> dict[str, Any]:
-        found.append(part.get("$ref", ""))
-        return part
-
-    _inside(schema, note)
-    return any(place and not place.startswith("#/$defs/") for place in found)
-
-
-def _moved(schema: dict[str, Any]) -> dict[str, Any]:
-    place = schema.get("$ref", "")
-    if place == "#" or place.startswith("#/"):
-        return {**schema, "$ref": f"{_PLACE}{place[1:]}"}
-    return schema
+    return change(change_parts(schema, lambda part: _inside(part, change), but=_CONDITIONS))
 
 
 def _plain(value: Any) -> Any:

@@ -21,6 +21,7 @@ from uoarm.model import (
     read_json,
     scan_json,
 )
+from uoarm.schema import enclose
 
 Convert = Callable[[Any], Any]
 
@@ -39,11 +40,6 @@ CONTENT_TYPES = {
 
 
 _DEFINITIONS = ("$defs", "definitions")
-_DEFINED = tuple(f"#/{name}/" for name in _DEFINITIONS)
-_OF_DOCUMENT = ("$id", "$schema")
-_NAMED = frozenset({*_DEFINITIONS, "properties", "patternProperties", "dependentSchemas"})
-_DATA = frozenset({"const", "enum", "default", "examples"})
-_MESSAGE = "#/$defs/message"
 
 
 @frozen
@@ -229,26 +225,13 @@ def limits_of(content: str, octets: int) -> dict[str, object]:
 
 def with_topic(inner: MessageStructure) -> MessageStructure:
     """Return the structure of messages that say on which topic they came."""
-    schema: Any = inner.schema
-    hoisted: dict[str, Any] = {}
-    if isinstance(schema, Mapping):  # references in it are seen from the root
-        places: list[str] = []
 
-        def note(place: str) -> str:
-            places.append(place)
-            return place
+    def around(schema: Any) -> dict[str, Any]:
+        both = {"topic": {"type": "string"}, "message": schema}
+        closed = {"required": [*both], "additionalProperties": False}
+        return {"type": "object", "properties": both, **closed}
 
-        _referring(schema, note)
-        if "$id" in schema or not all(place.startswith(_DEFINED) for place in places):
-            whole = {name: value for name, value in schema.items() if name not in _OF_DOCUMENT}
-            hoisted = {"$defs": {"message": _referring(whole, _below_message)}}
-            schema = {"$ref": _MESSAGE}
-        else:
-            hoisted = {name: schema[name] for name in _DEFINITIONS if name in schema}
-            schema = {name: value for name, value in schema.items() if name not in _DEFINITIONS}
-    both = {"topic": {"type": "string"}, "message": schema}
-    closed = {"required": [*both], "additionalProperties": False}
-    return MessageStructure({"type": "object", "properties": both, **closed, **hoisted})
+    return MessageStructure(enclose(inner.schema, around))
 
 
 def without_topic(schema: Any) -> MessageStructure:
@@ -258,33 +241,6 @@ def without_topic(schema: Any) -> MessageStructure:
     inner = schema.get("properties", {}).get("message", True)
     named = {name: schema[name] for name in _DEFINITIONS if name in schema}
     return MessageStructure({**inner, **named} if isinstance(inner, dict) else inner)
-
-
-def _referring(schema: Any, change: Callable[[str], str], *, is_names: bool = False) -> Any:
-    """Return a schema in which every reference was changed.
-
-    Args:
-        schema: or what is within one.
-        change: takes each reference.
-        is_names: whether it has schemas by names, which may be those of keywords.
-    """
-    if isinstance(schema, list | tuple):
-        return [_referring(part, change) for part in schema]
-    if not isinstance(schema, Mapping):
-        return schema
-    made: dict[str, Any] = {}
-    for name, part in schema.items():
-        if not is_names and name in _DATA:
-            made[name] = part
-        elif not is_names and name == "$ref" and isinstance(part, str):
-            made[name] = change(part)
-        else:
-            made[name] = _referring(part, change, is_names=not is_names and name in _NAMED)
-    return made
-
-
-def _below_message(place: str) -> str:
-    return f"{_MESSAGE}{place[1:]}" if place == "#" or place.startswith("#/") else place
 
 
 def _plain(value: Any) -> Any:
