@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ from played import LISTEN, STRING, TALK, Played, asked, bridge_to, seen
 from ros import eventually
 
 from uoarm.bridge import Bridge
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm.testing import Collector, patience
 
@@ -205,6 +206,31 @@ def test_a_message_that_is_too_large_is_a_loss_with_its_limit(played: Played) ->
         eventually(lambda: events, "it is lost")
         assert events[0].health is Health.LOST
         assert "larger than `max_octets`, 1,000" in events[0].cause
+
+
+def test_a_message_that_the_server_ends_the_connection_for_is_not_sent_again(
+    played: Played,
+) -> None:
+    """It has no operation that states its limit: here a megabyte, ten of rosbridge_suite."""
+    long = {"data": "x" * 2_000_000}
+    with bridge_to(played.url, grace=LONG) as bridge:
+        events = seen(bridge)
+        sink = bridge.open_sink(LISTEN, structure(bridge, LISTEN))
+        with suppress(BridgeError):
+            sink.send(long)
+        eventually(lambda: len(events) == 2, "it is there again")
+        assert [event.health for event in events] == [Health.DEGRADED, Health.OK]
+        assert "octets is too long for the server" in events[0].cause
+        with pytest.raises(MessageError, match="has ended the connection for one of 2,000,"):
+            sink.send(long)
+        sink.send({"data": "short"})
+        eventually(lambda: len(asked(played, "publish")) == 1, "others are sent")
+        played.stop()
+        played.start()
+        eventually(lambda: len(events) == 4, "another server answers")
+        with suppress(BridgeError):
+            sink.send(long)
+        eventually(lambda: len(events) == 6, "which may take more, and is asked")
 
 
 def test_what_cannot_be_read_is_said_once_until_something_can(played: Played) -> None:

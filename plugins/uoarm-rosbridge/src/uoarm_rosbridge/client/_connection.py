@@ -104,6 +104,10 @@ class ServerConnection:
         self._cause = ""  # why it is not up; empty: not known yet
         self._is_closed = False
         self._is_garbled = False  # whether the last frame could not be read
+        # Octets of the longest message of this connection, and of those that the server has ended
+        # one for: it has no operation that states its limit.
+        self._longest = 0
+        self._refused: int | None = None
         self._disconnection = Disconnection(options.grace)
         # Guards the two tables of what stands at the server, and the order in which that is sent:
         # what stands when a connection begins is sent with it, all else by who has it stand.
@@ -149,13 +153,19 @@ class ServerConnection:
 
         Raises:
             BridgeError: the connection is down, or breaks.
-            MessageError: something in it has no form as JSON.
+            MessageError: something in it has no form as JSON, or it is as long as a message for
+                which the server has ended the connection.
         """
         self.send_text(json_text(fields))
 
     def send_text(self, text: str) -> None:
         """Send an operation that is written already; as `send`."""
+        octets = len(text) if text.isascii() else len(text.encode())
+        if self._refused is not None and octets >= self._refused:
+            why = f"the server has ended the connection for one of {self._refused:,}"
+            raise MessageError(f"the message has {octets:,} octets: {why}")
         socket = self.require_up()
+        self._longest = max(self._longest, octets)
         try:
             socket.send(text)
         except (ConnectionClosed, OSError) as error:
@@ -342,6 +352,7 @@ class ServerConnection:
         )
 
     def _begin(self, socket: ClientConnection) -> None:
+        self._longest = 0
         if self._access.authentication is not None:
             socket.send(json.dumps(self._access.authentication()))
         with self._standing_lock:
@@ -355,16 +366,24 @@ class ServerConnection:
 
     def _read(self, socket: ClientConnection) -> tuple[str, bool]:
         """Take what comes until the connection ends; returns why it did, and whether for good."""
+        refused = None  # after any other end another server may answer next
         try:
             for frame in socket:
                 self._take(frame)
         except ConnectionClosed as error:
-            if error.sent is not None and error.sent.code == CloseCode.MESSAGE_TOO_BIG:
+            ended = error.rcvd if error.rcvd_then_sent else error.sent  # the answer has its code
+            if ended is not None and ended.code == CloseCode.MESSAGE_TOO_BIG:
+                if error.rcvd_then_sent:
+                    refused = self._longest
+                    text = f"a message of {self._longest:,} octets is too long for the server"
+                    return text, False
                 most = self.options.budget.octets
                 return f"a message came that is larger than `max_octets`, {most:,}", True
             return _cause_of(error), False
         except OSError as error:
             return _cause_of(error), False
+        finally:
+            self._refused = refused
         return "the server closed the connection", False
 
     def _take(self, frame: str | bytes) -> None:
