@@ -96,7 +96,8 @@ class CandidateWatch:
                 )
                 self._thread.start()
             self._changed.notify_all()  # the thread may rest, and not know this configuration
-            if function is not None and not revision.has_needs(function):
+            may_wait = function is None or self._is_known() or revision.has_needs(function)
+            if not may_wait:
                 return timeout
             if not self._changed.wait_for(self._is_known, timeout):
                 said = "bridges have not yet listed what components they see"
