@@ -376,7 +376,7 @@ class RtmBridge(Bridge):
         with self._guard:
             self._watched = {key: found for key, found in self._watched.items() if found.is_used}
             self._ticking = {channel: None for channel in self._ticking if not channel.closed}
-            checks: list[Check] = [channel.tick for channel in self._ticking]
+            checks: list[Check] = [channel.health.tick for channel in self._ticking]
             checks += [component.check for component in self._watched.values()]
         checks += [*self._active.checks(), *self._observers.checks(), *self._monitor.checks()]
         return checks if self._own is None else [*checks, self._own.tick]

@@ -19,13 +19,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, Message
 from uoarm.model import Message, Role
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._dataflow import PullBuffer, Puller, SizeLimit, ThreadedPusher
-from uoarm_rtm._health import (
-    ConnectorHealth,
-    LinkHealth,
-    PortStatus,
-    RemotePort,
-    WatchedPort,
-)
+from uoarm_rtm._health import ConnectorHealth, LinkHealth, RemotePort, WatchedPort
 from uoarm_rtm._options import (
     PortAddress,
     RtmEndpointOptions,
@@ -181,22 +175,7 @@ class OutPortSource(Source):
     @property
     def ports(self) -> tuple[WatchedPort, ...]:
         """What is to be checked."""
-        return (WatchedPort(self, self._remote, self._connector),)
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether that was reported."""
-        return bool(self.health.lost)
-
-    def judge(self, end: int, status: PortStatus) -> bool:
-        """Report what a check found."""
-        del end
-        self.health.take(status)
-        return False
-
-    def tick(self) -> None:
-        """Report a silence that is too long."""
-        self.health.tick()
+        return (WatchedPort(self, self.health, self._remote, self._connector),)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
@@ -322,22 +301,7 @@ class InPortSink(Sink):
     @property
     def ports(self) -> tuple[WatchedPort, ...]:
         """What is to be checked."""
-        return (WatchedPort(self, self._remote, self._connector),)
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether that was reported."""
-        return bool(self.health.lost)
-
-    def judge(self, end: int, status: PortStatus) -> bool:
-        """Report what a check found."""
-        del end
-        self.health.take(status)
-        return False
-
-    def tick(self) -> None:
-        """Report a silence that is too long."""
-        self.health.tick()
+        return (WatchedPort(self, self.health, self._remote, self._connector),)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
@@ -472,17 +436,9 @@ class NativeConnector(Channel):
     def ports(self) -> tuple[WatchedPort, ...]:
         """What is to be checked."""
         return tuple(
-            WatchedPort(self, remote, self._connector, end) for end, remote in enumerate(self._ends)
+            WatchedPort(self, self._health, remote, self._connector, end)
+            for end, remote in enumerate(self._ends)
         )
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether that was reported."""
-        return self._health.is_lost
-
-    def judge(self, end: int, status: PortStatus) -> bool:
-        """Report what a check found, or whose fault a loss is."""
-        return self._health.judge(end, status)
 
     def _close(self) -> None:
         try:

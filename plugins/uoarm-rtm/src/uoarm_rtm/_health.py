@@ -202,6 +202,17 @@ class ConnectorHealth:
         """Report a silence that is too long, without a call."""
         self._monitor.tick()
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether that was reported."""
+        return bool(self.lost)
+
+    def judge(self, end: int, status: PortStatus) -> bool:
+        """Report what a check found; no other end may be to blame."""
+        del end
+        self.take(status)
+        return False
+
     def take(self, status: PortStatus) -> None:
         """Report what a check found."""
         self.state = status.state
@@ -288,12 +299,8 @@ class LinkHealth:
         self._ends[end].take(evolve(found, cause=text))
 
 
-class CheckedChannel(Protocol):
-    """What checks need of a channel."""
-
-    @property
-    def closed(self) -> bool:
-        """Whether it needs no check any more."""
+class CheckedHealth(Protocol):
+    """What takes the checks of a channel: that of its one end, or of both."""
 
     @property
     def is_lost(self) -> bool:
@@ -309,13 +316,15 @@ class WatchedPort:
 
     Attributes:
         channel: that is open there.
+        health: of the channel.
         remote: the port.
         connector: the connection.
         end: which of its ports this one is.
         other: the component at the other end, which may be to blame.
     """
 
-    channel: CheckedChannel
+    channel: Channel
+    health: CheckedHealth
     remote: RemotePort
     connector: Connector
     end: int = 0
@@ -325,7 +334,7 @@ class WatchedPort:
     @property
     def is_over(self) -> bool:
         """Whether there is nothing to ask any more."""
-        return self.channel.closed or self.channel.is_lost
+        return self.channel.closed or self.health.is_lost
 
     def component_answers(self, status: PortStatus) -> None:
         """Keep what was found of the component, for the next check."""
@@ -339,7 +348,7 @@ class WatchedPort:
 
     def take(self, status: PortStatus) -> None:
         """Report what was found, once it is clear whose fault it is."""
-        if not self.is_over and self.channel.judge(self.end, status) and self.other is not None:
+        if not self.is_over and self.health.judge(self.end, status) and self.other is not None:
             self.other.check_soon()
 
 
