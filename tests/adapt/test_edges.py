@@ -22,7 +22,7 @@ from uoarm._adapt import MappingError, _edge, adapt, check_edge, parse
 from uoarm._adapt._suggest import suggest
 from uoarm.errors import MessageError
 from uoarm.model import Meaning, MessageStructure
-from uoarm.schema import CheckBudget
+from uoarm.schema import CheckBudget, check
 from uoarm.testing import patience
 
 INT = {"type": "integer", "minimum": -100, "maximum": 100}
@@ -48,6 +48,29 @@ SOURCE: dict[str, Any] = {
     "additionalProperties": False,
     "$defs": {"box": closed(left=INT, score={"type": "number"})},
 }
+# The same with the items elsewhere: what a map takes still means what it did.
+_BOXES = SOURCE["properties"]["boxes"]
+_REST = {keyword: value for keyword, value in SOURCE.items() if keyword != "$defs"}
+FORMS: list[dict[str, Any]] = [
+    SOURCE,
+    {
+        **_REST,
+        "properties": {
+            **_REST["properties"],
+            "boxes": {**_BOXES, "items": {"$ref": "#/definitions/box"}},
+        },
+        "definitions": SOURCE["$defs"],
+    },
+    {
+        **_REST,
+        "properties": {
+            **_REST["properties"],
+            "pose": {**_REST["properties"]["pose"], "$anchor": "pose"},
+            "boxes": {**_BOXES, "items": {"$ref": "#/patternProperties/%5Ebox%24"}},
+        },
+        "patternProperties": {"^box$": SOURCE["$defs"]["box"]},
+    },
+]
 ANY: dict[str, Any] = {}
 small = st.integers(-100, 100)
 messages = st.fixed_dictionaries(
@@ -86,10 +109,23 @@ mappings = st.dictionaries(
 )
 
 
-@given(mappings, messages)
-def test_what_an_adapter_emits_is_what_its_schema_says(mapping: Any, message: Any) -> None:
-    adapted = adapt(parse(mapping), SOURCE, ANY)
+@given(mappings, messages, st.sampled_from(FORMS))
+def test_what_an_adapter_emits_is_what_its_schema_says(
+    mapping: Any, message: Any, form: dict[str, Any]
+) -> None:
+    adapted = adapt(parse(mapping), form, ANY)
     Draft202012Validator(adapted.schema).validate(adapted.make(message))
+
+
+@pytest.mark.parametrize("form", FORMS[1:])
+def test_an_adapter_takes_a_structure_whatever_its_references_lead_to(form: dict[str, Any]) -> None:
+    mapping = {"lefts": {"each": "boxes", "map": {"x": "left"}}, "boxes": "boxes", "at": "pose"}
+    made = [adapt(parse(mapping), schema, ANY) for schema in (SOURCE, form)]
+    assert made[0].losses == made[1].losses
+    for adapted in made:
+        wanted = {"properties": {"boxes": {"items": {"properties": {"left": INT}}}}}
+        assert check(adapted.schema, wanted).compatible
+        assert not check(adapted.schema, {"properties": {"boxes": {"maxItems": 0}}}).compatible
 
 
 def structure(**fields: Any) -> MessageStructure:

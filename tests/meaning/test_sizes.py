@@ -61,6 +61,11 @@ def written(message: Any) -> int:
         (IMAGE, 4011, math.inf),
         ({"anyOf": [{"type": "null"}, {"const": "abcdef"}]}, 4, 8),
         ({"$ref": "#/$defs/a", "$defs": {"a": {"const": "abc"}}}, 5, 5),
+        ({"$ref": "#a", "$defs": {"a": {"$anchor": "a", "const": "abc"}}}, 5, 5),
+        ({"$ref": "#/anyOf/1", "anyOf": [True, {"const": "abc"}]}, 5, 5),
+        # Of a document within it, which has definitions of its own.
+        ({"$id": "b", "$ref": "#/$defs/a", "$defs": {"a": {"const": "abc"}}}, 5, 5),
+        ({"not": {"const": "abc"}, "anyOf": [{"$id": "b", "$ref": "#/not"}, {"const": 1}]}, 1, 1),
         (
             {"type": "object", "properties": {"a": {"$ref": "#"}}, "additionalProperties": False},
             2,

@@ -194,6 +194,22 @@ def test_a_recursive_structure_has_an_end() -> None:
     assert reader({"next": {"data": data}}) == {"next": {"data": b"x"}}
 
 
+@pytest.mark.parametrize(
+    "rest",
+    [
+        {"items": {"$ref": "#/$defs/a%20b"}, "$defs": {"a b": OCTETS}},
+        {"items": {"$ref": "#/prefixItems/0"}, "prefixItems": [OCTETS]},
+        {"items": {"$ref": "#data"}, "$defs": {"a": {**OCTETS, "$anchor": "data"}}},
+        {"items": {"$ref": "http://here/a#/$defs/a"}, "$defs": {"a": OCTETS}},
+        {"items": {"$id": "http://here/b", "$ref": "#/$defs/a", "$defs": {"a": OCTETS}}},
+    ],
+)
+def test_octets_are_read_wherever_a_reference_leads_to(rest: dict[str, Any]) -> None:
+    reader = make_reader({"$id": "http://here/a", "type": "array", **rest})
+    assert reader is not None
+    assert reader(["YQ==", "YQ=="]) == [b"a", b"a"]
+
+
 def test_a_long_name_in_a_path_is_shown_in_short() -> None:
     reader = make_reader({"additionalProperties": {"additionalProperties": {"type": "integer"}}})
     assert reader is not None

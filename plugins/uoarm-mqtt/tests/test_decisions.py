@@ -9,13 +9,14 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
-from uoarm_mqtt._codec import PayloadCodec, with_topic, without_topic
+from uoarm_mqtt._codec import PayloadCodec, with_topic
 from uoarm_mqtt._link import ThreadedClient
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
 from uoarm.bridge import Registry
 from uoarm.errors import MessageError
 from uoarm.model import Budget, Endpoint, MessageStructure, Role
+from uoarm.schema import property_of
 
 
 class Ending(ThreadedClient):
@@ -125,6 +126,8 @@ REFERRING: list[dict[str, Any]] = [
         "properties": {"a": {"$ref": "#/$defs/o"}, "$ref": True},
         "$defs": {"o": OCTETS},
     },
+    {"properties": {"a": {"$ref": "#o"}, "kids": True}, "$defs": {"o": {"$anchor": "o", **OCTETS}}},
+    {"properties": {"a": {"$ref": "#/prefixItems/0"}, "kids": True}, "prefixItems": [OCTETS]},
 ]
 
 
@@ -136,7 +139,7 @@ def test_references_mean_the_same_where_the_topic_is_said(schema: dict[str, Any]
     validator = Draft202012Validator(both.schema)
     assert validator.is_valid({"topic": "t", "message": said})
     assert not validator.is_valid({"topic": "t", "message": {"a": "ab"}})
-    codec = PayloadCodec.of("json", without_topic(both.schema), Budget())
+    codec = PayloadCodec.of("json", MessageStructure(property_of(both.schema, "message")), Budget())
     read: Any = codec.decode(b'{"a": "AQI=", "kids": [{"a": "Aw=="}]}')
     assert read["a"] == b"\1\2"
     if "items" in str(schema):

@@ -166,8 +166,8 @@ def adapt(entries: tuple[MappingEntry, ...], producer: Any, consumer: Any) -> Ad
     source = Structure(producer)
     whole = entries + _of_the_same_name(entries, source, Structure(consumer))
     schema, make = _object(whole, source)
-    if source.definitions:
-        schema = {**schema, "$defs": source.definitions}
+    if source.definitions and isinstance(schema, Mapping):
+        schema = {**schema, **source.definitions}
     return Adaptation(schema, tuple(_losses(whole, source)), make)
 
 
@@ -244,7 +244,7 @@ def _each(value: ArrayMapping, source: Structure) -> tuple[SchemaField, Maker]:
     array = source.plain(field.schema, where)
     if array.get("type") != "array" or "prefixItems" in array or "items" not in array:
         raise UnfitError(where, "each needs an array whose items are all of one structure")
-    inner, make = _object(value.entries, Structure(array["items"], source.definitions))
+    inner, make = _object(value.entries, Structure(array["items"], source))
     bounds = {key: array[key] for key in ("minItems", "maxItems") if key in array}
     schema = {"type": "array", "items": inner, **bounds}
     return SchemaField(schema, field.always), each_item(reader(value.source), make)
@@ -349,7 +349,7 @@ def _losses(entries: tuple[MappingEntry, ...], source: Structure, prefix: str = 
     for entry in entries:
         if isinstance(entry.value, ArrayMapping):
             array = source.plain(source.at(entry.value.source).schema, "")
-            inner = Structure(array["items"], source.definitions)
+            inner = Structure(array["items"], source)
             where = f"{prefix}{write_path(entry.value.source)}[]."
             found.extend(_losses(entry.value.entries, inner, where))
     return found[:_MAX_LOSSES]

@@ -10,6 +10,7 @@ from attrs import field, frozen
 from uoarm._meaning import INHERITED
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
+from uoarm.schema import follow, portable
 
 Path: TypeAlias = "tuple[str, ...]"
 
@@ -218,33 +219,36 @@ class SchemaField:
 
 
 class Structure:
-    """A schema that is walked; references to its own `$defs` are followed.
+    """A schema that is walked; references are followed.
 
     Args:
         schema: JSON Schema.
-        definitions: the `$defs` that references mean; the schema's own when None.
+        whole: the structure that it is a part of; None where it stands alone.
+
+    Attributes:
+        definitions: keywords of the root in which all is that references lead to.
     """
 
-    def __init__(self, schema: Any, definitions: Mapping[str, Any] | None = None) -> None:
-        self.schema = schema
-        own = schema.get("$defs", {}) if isinstance(schema, Mapping) else {}
-        self.definitions: Mapping[str, Any] = own if definitions is None else definitions
+    def __init__(self, schema: Any, whole: Structure | None = None) -> None:
+        inner, own = (schema, {}) if whole is not None else portable(schema)
+        self.definitions: dict[str, Any] = own if whole is None else whole.definitions
+        self.schema = {**inner, **own} if own else inner
 
     def plain(self, schema: Any, path: str) -> Mapping[str, Any]:
         """Return a schema with references followed.
 
         Raises:
-            UnfitError: it is `true`, `false`, or refers to something else than `$defs`.
+            UnfitError: it is `true`, `false`, or refers to what is not in the structure.
         """
         for _ in range(32):
             if not isinstance(schema, Mapping):
                 raise UnfitError(path, "the structure says nothing of this field")
             if "$ref" not in schema:
                 return schema
-            name = str(schema["$ref"]).removeprefix("#/$defs/")
-            if name not in self.definitions:
+            target = follow(self.definitions, schema["$ref"])
+            if target is None:
                 raise UnfitError(path, f"the reference {schema['$ref']!r} cannot be followed here")
-            schema = self.definitions[name]
+            schema = target
         raise UnfitError(path, "the references go in a circle")
 
     def at(self, path: Path) -> SchemaField:

@@ -129,8 +129,7 @@ def _fill_counterpart(
         elif isinstance(items[1], Mapping) and "properties" in items[1]:
             inner: dict[str, Any] = {}
             parts = (
-                Structure(item, whole.definitions)
-                for item, whole in zip(items, (source, target), strict=True)
+                Structure(item, whole) for item, whole in zip(items, (source, target), strict=True)
             )
             _fill_counterpart(inner, (), (), *parts)
             mapping[write_path(where)] = {"each": write_path((*at, own)), "map": inner}
@@ -301,7 +300,7 @@ def _entry(path: Path, by: Conversion) -> Any:
 def _with_definitions(schema: Any, structure: Structure) -> Any:
     if not structure.definitions or not isinstance(schema, Mapping):
         return schema
-    return {**schema, "$defs": structure.definitions}
+    return {**schema, **structure.definitions}
 
 
 def _only_value(schema: Any) -> Any:
@@ -382,8 +381,8 @@ def _fill(
     one = source.plain(source.at(field).schema, where)
     other = target.plain(target.at(field).schema, where)
     if all(path[:1] == (_ITEMS,) for path in inside):
-        items = Structure(one["items"], source.definitions)
-        taken = Structure(other["items"], target.definitions)
+        items = Structure(one["items"], source)
+        taken = Structure(other["items"], target)
         inner: dict[str, Any] = {}
         rest = {path[1:]: by for path, by in inside.items()}
         for name in taken.fields():

@@ -237,19 +237,13 @@ class _Compiler:
         return lambda value: all(accepts(value) for accepts in parts)
 
     def _reference(self, reference: Any, depth: int) -> Accepts:
-        if not isinstance(reference, str) or not reference.startswith("#/"):
-            raise _UnknownError
         known = self.references
         if reference not in known:
-            place: Any = self.whole
-            if isinstance(place, Mapping) and "$id" in place:
+            from uoarm.schema import follow  # noqa: PLC0415 - hosts of most components need none
+
+            place = follow(self.whole, reference)
+            if not isinstance(place, Mapping):
                 raise _UnknownError
-            for part in reference[2:].split("/"):
-                if "%" in part or not isinstance(place, Mapping):
-                    raise _UnknownError
-                place = place.get(part.replace("~1", "/").replace("~0", "~"))
-                if not isinstance(place, Mapping) or "$id" in place:
-                    raise _UnknownError
 
             def later(value: Any) -> bool:  # where it refers to itself
                 return known[reference](value)

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 from attrs import define, field, frozen
 
 from uoarm._meaning._units import Conversion, UnitError, conversion
+from uoarm.schema import document_of, follow
 
 _PLAIN = ("Byte", "Char", "Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8",
           "UInt16", "UInt32", "UInt64")  # fmt: skip
@@ -305,9 +306,13 @@ class _Walk:
             return []
         if schema.keys().isdisjoint(_CHOICES):
             return [schema]
+        root = document_of(schema, root)
         bases: list[Said] = [{key: value for key, value in schema.items() if key not in _CHOICES}]
         if "$ref" in schema:
-            bases = self._all([_target(root, schema["$ref"])], bases, root, depth)
+            target = follow(root, schema["$ref"])
+            if target is None:
+                raise _NotFollowedError
+            bases = self._all([target], bases, root, depth)
         bases = self._all(schema.get("allOf", ()), bases, root, depth)
         for key in ("anyOf", "oneOf"):
             if key in schema:
@@ -407,22 +412,6 @@ def _product(views: list[Said], bases: list[Said]) -> list[Said]:
 def _merged(inner: Said, outer: Said) -> Said:
     fields = {**inner.get("properties", {}), **outer.get("properties", {})}
     return {**inner, **outer, **({"properties": fields} if fields else {})}
-
-
-def _target(root: Any, reference: Any) -> Any:
-    """Follow a JSON pointer into the same document."""
-    if not isinstance(reference, str) or not reference.startswith("#"):
-        raise _NotFollowedError
-    found = root
-    for part in reference[1:].split("/")[1:]:
-        name = part.replace("~1", "/").replace("~0", "~")
-        try:
-            found = found[int(name)] if isinstance(found, list) else found[name]
-        except (LookupError, TypeError, ValueError):
-            raise _NotFollowedError from None
-    if reference[1:2] not in {"", "/"}:
-        raise _NotFollowedError
-    return found
 
 
 def _fields(one: Said, other: Said) -> Iterator[tuple[str, Any, Any]]:

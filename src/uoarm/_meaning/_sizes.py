@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 from attrs import define, field
 
+from uoarm.schema import document_of, follow
+
 JSON_LIMIT, OCTETS_LIMIT = "x-max-json", "x-max-octets"
 _MOST_DEPTH = 32
 _MOST_PARTS = 20_000
@@ -61,6 +63,8 @@ class _Walk:
         self.parts += 1
         if not isinstance(schema, Mapping) or depth > _MOST_DEPTH or self.parts > _MOST_PARTS:
             return Sizes(1, math.inf) if schema is True else _UNKNOWN
+        if document_of(schema, self.root) is not self.root:
+            return _UNKNOWN
         found = list(self._demands(schema, depth))
         least = max(size.least for size in found)
         most = min(size.most for size in found)
@@ -84,7 +88,7 @@ class _Walk:
             if union in schema:
                 yield _either(self.of(part, depth + 1) for part in schema[union])
         if "$ref" in schema:
-            yield self._referred(schema["$ref"], depth)
+            yield self.of(follow(self.root, schema["$ref"]), depth + 1)
 
     def _kind(self, kind: str, schema: Mapping[str, Any], depth: int) -> Sizes:
         if kind == "object":
@@ -143,15 +147,6 @@ class _Walk:
         if not is_closed or "patternProperties" in schema:
             most = math.inf
         return Sizes(max(int(least) + 1, 2), max(most + 1, 2))
-
-    def _referred(self, reference: Any, depth: int) -> Sizes:
-        found = self.root
-        if not isinstance(reference, str) or not reference.startswith("#"):
-            return _UNKNOWN
-        for part in reference[1:].split("/")[1:]:
-            name = part.replace("~1", "/").replace("~0", "~")
-            found = found.get(name) if isinstance(found, Mapping) else None
-        return self.of(found, depth + 1)
 
     def _written(self, value: Any) -> Sizes:
         if self.is_json:

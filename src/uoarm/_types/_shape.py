@@ -6,11 +6,11 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any
-from urllib.parse import unquote
 
 from attrs import field, frozen
 
 from uoarm._lock import Lock
+from uoarm.schema import follow
 
 _MOST_DEPTH = 24
 _MOST_NODES = 5_000
@@ -170,17 +170,9 @@ class Shaper:
             return self._known[reference]
         if reference in self._open:
             return Plain("any", "recursive")
-        target = self._root
-        for step in unquote(reference[1:]).split("/")[1:]:
-            key = step.replace("~1", "/").replace("~0", "~")
-            if isinstance(target, Mapping) and key in target:
-                target = target[key]
-            elif isinstance(target, list) and key.isdecimal() and int(key) < len(target):
-                target = target[int(key)]
-            else:
-                return Plain("any", "a reference to nothing")
-        if reference != "#" and not reference.startswith("#/"):
-            return Plain("any", "a reference by anchor")
+        target = follow(self._root, reference)
+        if target is None:
+            return Plain("any", "a reference to nothing")
         self._open.append(reference)
         found = self._shape(target, name, depth + 1, reference)
         self._open.pop()

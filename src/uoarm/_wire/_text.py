@@ -21,7 +21,7 @@ from pybase64 import b64decode, b64encode
 
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, Message, Schema, count_names, read_json, scan_json
-from uoarm.schema import change_parts
+from uoarm.schema import change_parts, document_of, follow
 
 # No JSON text holds this character as it is: in a string it is written as an escape.
 _GAP = b"\0"
@@ -296,6 +296,8 @@ class _Compiler:
     def reader(self, schema: object, depth: int) -> Reader | None:
         if not isinstance(schema, Mapping) or depth > _MAX_DEPTH:
             return None
+        if document_of(schema, self._root) is not self._root:
+            return _Compiler(schema).reader(schema, depth)
         if isinstance(reference := schema.get("$ref"), str):
             return self._referred(reference, depth)
         if schema.get("x-octets") is True:
@@ -342,7 +344,7 @@ class _Compiler:
                 return value if reader is None or reader is later else reader(value)
 
             known[reference] = later
-            known[reference] = self.reader(_find(reference, self._root), depth + 1)
+            known[reference] = self.reader(follow(self._root, reference), depth + 1)
         return known[reference]
 
 
@@ -426,13 +428,6 @@ def _is_wide(schema: Mapping[str, object]) -> bool:
     low, high = schema.get("minimum"), schema.get("maximum")
     inside = isinstance(low, int | float) and isinstance(high, int | float)
     return not (inside and low >= -SAFE_INTEGER and high <= SAFE_INTEGER)  # type: ignore[operator] # both are numbers
-
-
-def _find(reference: str, root: Schema) -> object:
-    place: object = root
-    for part in reference.removeprefix("#").split("/")[1:]:
-        place = _mapping(place).get(part.replace("~1", "/").replace("~0", "~"))
-    return place
 
 
 def _mapping(value: object) -> Mapping[str, object]:

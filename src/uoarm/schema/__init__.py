@@ -7,10 +7,17 @@ from typing import TYPE_CHECKING
 
 from uoarm.schema._check import check
 from uoarm.schema._errors import SchemaError
+from uoarm.schema._parts import (
+    change_parts,
+    document_of,
+    enclose,
+    follow,
+    portable,
+    property_of,
+)
 from uoarm.schema._verdict import CheckBudget, Loss, MismatchReason, Verdict
 
 if TYPE_CHECKING:
-    from uoarm.schema._rewrite import change_parts, enclose
     from uoarm.schema.regex import UnsupportedPatternError, found_in
 
 __all__ = [
@@ -22,8 +29,12 @@ __all__ = [
     "Verdict",
     "change_parts",
     "check",
+    "document_of",
     "enclose",
+    "follow",
     "found_in",
+    "portable",
+    "property_of",
 ]
 
 if not TYPE_CHECKING:
@@ -31,9 +42,9 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> object:
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        from uoarm.schema import _rewrite, regex  # noqa: PLC0415 - when first needed
+        from uoarm.schema import regex  # noqa: PLC0415 - when first needed
 
-        return getattr(_rewrite if hasattr(_rewrite, name) else regex, name)
+        return getattr(regex, name)
 
     def __dir__() -> list[str]:
         return sorted({*globals(), *__all__})

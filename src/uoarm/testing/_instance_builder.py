@@ -10,9 +10,9 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
-from functools import cached_property
 from typing import TYPE_CHECKING, Protocol, TypeVar
-from urllib.parse import unquote
+
+from uoarm.schema import follow
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -220,10 +220,6 @@ class InstanceDocument:
     def __init__(self, root: object) -> None:
         self._root = root
 
-    @cached_property
-    def _anchors(self) -> dict[str, object]:
-        return dict(_anchors(self._root))
-
     def parts(self, choices: Choices, schemas: Iterable[object]) -> list[Keywords] | None:
         """The keyword sets that ``schemas`` ask for together, one branch of each union chosen.
 
@@ -245,7 +241,8 @@ class InstanceDocument:
     def _implied(self, choices: Choices, schema: Keywords) -> Iterator[object]:
         reference = schema.get("$ref")
         if isinstance(reference, str):
-            yield self._target(reference)
+            target = follow(self._root, reference)
+            yield True if target is None else target
         all_of = schema.get("allOf")
         if isinstance(all_of, list):
             yield from all_of
@@ -261,21 +258,6 @@ class InstanceDocument:
                 yield schema.get("then", True)
             else:
                 yield schema.get("else", True)
-
-    def _target(self, reference: str) -> object:
-        fragment = unquote(reference.partition("#")[2])
-        if not fragment.startswith("/"):
-            return self._anchors.get(fragment, True) if fragment else self._root
-        node = self._root
-        for step in fragment[1:].split("/"):
-            name = step.replace("~1", "/").replace("~0", "~")
-            if isinstance(node, Mapping):
-                node = node.get(name, True)
-            elif isinstance(node, list) and name.isdigit() and int(name) < len(node):
-                node = node[int(name)]
-            else:
-                return True
-        return node
 
 
 def choose_type(choices: Choices, parts: Iterable[Keywords]) -> str | None:
@@ -300,19 +282,6 @@ def choose_type(choices: Choices, parts: Iterable[Keywords]) -> str | None:
 def _strings(value: object) -> Iterator[str]:
     if isinstance(value, list):
         yield from (name for name in value if isinstance(name, str))
-
-
-def _anchors(root: object) -> Iterator[tuple[str, object]]:
-    waiting = [root]
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, Mapping):
-            anchor = node.get("$anchor")
-            if isinstance(anchor, str):
-                yield anchor, node
-            waiting.extend(node.values())
-        elif isinstance(node, list):
-            waiting.extend(node)
 
 
 class TooLargeError(ValueError):

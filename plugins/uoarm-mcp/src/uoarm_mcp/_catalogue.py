@@ -11,6 +11,7 @@ from mcp_types import Resource, Tool, ToolAnnotations
 
 from uoarm.errors import UoarmError
 from uoarm.model import Function, MessageStructure, Plan, Robot
+from uoarm.schema import property_of
 from uoarm.server.front_end import AccessRole, Backend, Operation, coded_text, is_action
 from uoarm_mcp._schemas import (
     OWN_INPUTS,
@@ -210,7 +211,7 @@ class CatalogueMaker:
                 ToolKind.GOAL,
                 "goal",
                 structures["input.goal"],
-                _result_of(structures["output.result"]),
+                MessageStructure(property_of(structures["output.result"].schema, "result")),
             )
             own = [name for name in own if name not in {"goal", "cancel"}]
         for name in own:
@@ -286,17 +287,6 @@ class CatalogueMaker:
 
     def _needs(self, operation: Operation, function: str) -> str:
         return self._backend.approvals.supervision.reason(operation, function)
-
-
-def _result_of(structure: MessageStructure) -> MessageStructure:
-    """Return what the result of a goal is like, of the message that brings it with how it ended."""
-    schema = structure.schema
-    properties = schema.get("properties") if isinstance(schema, Mapping) else None
-    found = properties.get("result") if isinstance(properties, Mapping) else None
-    if not isinstance(schema, Mapping) or not isinstance(found, Mapping):
-        return MessageStructure({})
-    defined = {name: schema[name] for name in ("$defs", "definitions") if name in schema}
-    return MessageStructure({**found, **defined})
 
 
 def _described(function: Function, what: str, needs: str) -> str:

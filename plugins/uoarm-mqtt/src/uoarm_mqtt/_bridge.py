@@ -21,8 +21,9 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Message, MessageStructure, Role
+from uoarm.schema import property_of
 from uoarm_mqtt._channels import MqttSink, MqttSource, ServedTopic, ServiceCalls
-from uoarm_mqtt._codec import PayloadCodec, limits_of, with_topic, without_topic
+from uoarm_mqtt._codec import PayloadCodec, limits_of, with_topic
 from uoarm_mqtt._discovery import (
     STRUCTURE_HINTS,
     configured,
@@ -69,7 +70,7 @@ class MqttBridge(Bridge):
         options = self._options_of(endpoint)
         self._require_there(endpoint, options)
         schema: Any = structure.schema
-        inner = MessageStructure(schema) if not options.with_topic else without_topic(schema)
+        inner = MessageStructure(property_of(schema, "message") if options.with_topic else schema)
         codec = PayloadCodec.of(options.content, inner, self._broker.options.budget)
         topic = endpoint.address[0]
         return MqttSource(

@@ -6,7 +6,6 @@ import base64
 import json
 from collections.abc import Callable, Mapping
 from typing import Any
-from urllib.parse import unquote
 
 from attrs import frozen
 
@@ -21,7 +20,7 @@ from uoarm.model import (
     read_json,
     scan_json,
 )
-from uoarm.schema import enclose
+from uoarm.schema import document_of, enclose, follow
 
 Convert = Callable[[Any], Any]
 
@@ -37,9 +36,6 @@ CONTENT_TYPES = {
     "octets": "application/octet-stream",
     "text": "text/plain; charset=utf-8",
 }
-
-
-_DEFINITIONS = ("$defs", "definitions")
 
 
 @frozen
@@ -137,6 +133,8 @@ class _Reading:
         """Return what is to be done with a value of a schema, None for nothing."""
         if not isinstance(schema, Mapping):
             return None
+        if document_of(schema, self._root) is not self._root:
+            return _Reading(schema).of(schema)
         if isinstance(place := schema.get("$ref"), str):
             return self._referred(place)
         kind = schema.get("type")
@@ -188,11 +186,7 @@ class _Reading:
     def _referred(self, place: str) -> Convert | None:
         if place not in self._references:
             known = self._references[place] = []  # a schema may refer to itself
-            target: Any = self._root
-            for step in unquote(place.removeprefix("#")).split("/")[1:]:
-                name = step.replace("~1", "/").replace("~0", "~")
-                target = target.get(name) if isinstance(target, Mapping) else None
-            known.append(self.of(target))
+            known.append(self.of(follow(self._root, place)))
         known = self._references[place]
         if known:
             return known[0]
@@ -232,15 +226,6 @@ def with_topic(inner: MessageStructure) -> MessageStructure:
         return {"type": "object", "properties": both, **closed}
 
     return MessageStructure(enclose(inner.schema, around))
-
-
-def without_topic(schema: Any) -> MessageStructure:
-    """Return the structure within one that says the topic; references are seen from the root."""
-    if not isinstance(schema, dict):
-        return MessageStructure(True)
-    inner = schema.get("properties", {}).get("message", True)
-    named = {name: schema[name] for name in _DEFINITIONS if name in schema}
-    return MessageStructure({**inner, **named} if isinstance(inner, dict) else inner)
 
 
 def _plain(value: Any) -> Any:

@@ -14,13 +14,11 @@ from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
 from uoarm.schema._errors import Meter, OutOfScopeError, Pointer, SchemaError, write_pointer
+from uoarm.schema._parts import LISTS, MAPS, SINGLES
 from uoarm.schema._values import SCALARS, Keys
 from uoarm.schema.read._node import (
     ANNOTATIONS,
-    LISTS,
-    MAPS,
     READERS,
-    SINGLES,
     Reference,
     SchemaNode,
     Scope,

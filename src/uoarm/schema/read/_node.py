@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 from attrs import define, field
 
 from uoarm.schema._errors import Meter, Pointer, SchemaError, write_pointer
+from uoarm.schema._parts import LISTS, MAPS, SINGLES
 from uoarm.schema._values import Key, exact
 from uoarm.schema.regex import (
     CodeUnits,
@@ -283,12 +284,6 @@ What `const` and `enum` mean is in the values of the node.
 """
 
 
-SINGLES = (
-    "items", "contains", "additionalProperties", "propertyNames", "not", "if", "then", "else",
-    "unevaluatedItems", "unevaluatedProperties", "contentSchema",
-)  # fmt: skip
-LISTS = ("prefixItems", "allOf", "anyOf", "oneOf")
-MAPS = ("properties", "patternProperties", "dependentSchemas", "$defs")
 ANNOTATIONS = frozenset(
     {"$comment", "title", "description", "default", "examples", "deprecated", "readOnly",
      "writeOnly", "format", "contentEncoding", "contentMediaType", "contentSchema", "$defs",

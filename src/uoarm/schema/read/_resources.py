@@ -18,7 +18,8 @@ from urllib.parse import unquote, urljoin
 from attrs import frozen
 
 from uoarm.schema._errors import Meter, OutOfScopeError, SchemaError
-from uoarm.schema.read._node import ANNOTATIONS, LISTS, MAPS, SINGLES, Scope
+from uoarm.schema._parts import LISTS, MAPS, SINGLES
+from uoarm.schema.read._node import ANNOTATIONS, Scope
 
 _NEW_IN_2020 = frozenset({"prefixItems", "$dynamicRef", "$dynamicAnchor"})
 _NEW_IN_2019 = frozenset(

@@ -19,7 +19,7 @@ from attrs import frozen
 from uoarm.bridge import Bridge, Registry, Sink, Source
 from uoarm.errors import MessageError
 from uoarm.model import BridgeSpec, Endpoint, Message, MessageStructure, Schema
-from uoarm.schema import check
+from uoarm.schema import check, follow
 from uoarm.testing._resources import hold_idle
 from uoarm.testing._waiting import Background, Collector, patience, plain, same
 
@@ -148,11 +148,8 @@ def _item(schema: Mapping[str, Any], index: int) -> object:
 
 
 def _resolved(root: Schema, schema: object) -> object:
-    while isinstance(schema, Mapping) and "$ref" in schema and isinstance(root, Mapping):
-        place = str(schema["$ref"])
-        schema = root
-        for key in place.removeprefix("#").split("/")[1:]:
-            schema = schema[key] if isinstance(schema, Mapping) else None
+    while isinstance(schema, Mapping) and "$ref" in schema:
+        schema = follow(root, schema["$ref"])
     return schema
 
 

@@ -1,4 +1,4 @@
-"""Schemas with other parts, and within others: what they accept stays the same."""
+"""Parts of schemas: found by references; changed, put within others, taken out: same meaning."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.schema._mixed_schemas import mixed_schema
 from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference, UnsupportedSchemaError
 
-from uoarm.schema import change_parts, enclose
+from uoarm.schema import change_parts, document_of, enclose, follow, property_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -127,3 +127,81 @@ def test_every_part_is_changed_and_no_data() -> None:
     assert {name: made[name] for name in data} == data
     assert change_parts(keywords, lambda part: not part, but=frozenset(keywords)) == keywords
     assert change_parts({"items": [True, True]}, lambda _: False) == {"items": [False, False]}
+
+
+INTEGER = {"type": "integer"}
+BOOK = {"$id": "http://here/book", "$anchor": "other", "$defs": {"n": {"type": "null"}}}
+DOCUMENT: dict[str, Any] = {
+    "$id": "http://here/x#",
+    "$defs": {"x/y z~": INTEGER, "named": {"$anchor": "own"}, "last": {"$dynamicAnchor": "top"}},
+    "definitions": {"never": False},
+    "prefixItems": [True, INTEGER],
+    "properties": {"$id": {"not": INTEGER}, "book": BOOK},
+    "const": {"$anchor": "data"},
+    "title": "#",
+}
+
+
+@pytest.mark.parametrize(
+    ("reference", "found"),
+    [
+        ("#", DOCUMENT),
+        ("", DOCUMENT),
+        ("http://here/x", DOCUMENT),
+        ("http://here/x#/prefixItems/1", INTEGER),
+        ("#/$defs/x~1y%20z~0", INTEGER),
+        ("#/definitions/never", False),
+        ("#/prefixItems/0", True),
+        ("#/properties/$id/not", INTEGER),
+        ("#own", {"$anchor": "own"}),
+        ("#top", {"$dynamicAnchor": "top"}),
+        # What follows leads to no schema of this document.
+        ("#/prefixItems/2", None),
+        ("#/prefixItems/-1", None),
+        ("#/prefixItems", None),
+        ("#/title", None),
+        ("#/title/0", None),
+        ("#/$defs/none", None),
+        ("#data", None),
+        ("#other", None),
+        ("#/properties/book", None),
+        ("#/properties/book/$defs/n", None),
+        ("http://there/x#/prefixItems/1", None),
+        (7, None),
+    ],
+)
+def test_a_reference_leads_to_a_schema_of_the_document(reference: object, found: Any) -> None:
+    assert follow(DOCUMENT, reference) == found
+
+
+def test_a_document_within_another_has_its_own_references() -> None:
+    assert document_of(BOOK, DOCUMENT) is BOOK
+    assert document_of(DOCUMENT["properties"], DOCUMENT) is DOCUMENT
+    assert document_of(True, DOCUMENT) is DOCUMENT
+
+
+@pytest.mark.parametrize(
+    ("schema", "good", "bad"),
+    [
+        ({"properties": {"a": {"$ref": "#/$defs/n"}}, "$defs": {"n": INTEGER}}, 1, "1"),
+        ({"properties": {"a": {"$ref": "#/definitions/n"}}, "definitions": {"n": INTEGER}}, 1, ""),
+        ({"properties": {"a": {"$ref": "#/properties/b"}, "b": INTEGER}}, 1, "1"),
+        ({"properties": {"a": {"items": {"$ref": "#/properties/a"}}}}, [[]], None),
+        ({"properties": {"a": {"$ref": "#/properties/a/$defs/n", "$defs": {"n": INTEGER}}}}, 1, ""),
+        ({"properties": {"a": {"$ref": "#n", "$defs": {"n": {"$anchor": "n", **INTEGER}}}}}, 1, ""),
+        ({"properties": {"a": {"$id": "http://h/a", "$ref": "#/not/not", "not": {"not": INTEGER}}}},
+         1, ""),
+        ({"$ref": "#/$defs/o", "$defs": {"o": {"properties": {"a": INTEGER}}}}, 1, "1"),
+        ({"$id": "http://here/o", "$ref": "http://here/o#/not/not",
+          "not": {"not": {"properties": {"a": INTEGER}}}}, 1, "1"),
+        ({"properties": {"a": False}}, None, 1),
+        ({"properties": {"b": INTEGER}}, "1", None),
+        ({"$ref": "#"}, 1, None),
+        (True, 1, None),
+    ],
+    ids=json.dumps,
+)  # fmt: skip
+def test_a_property_alone_accepts_what_it_did(schema: Any, good: object, bad: object) -> None:
+    made = property_of(schema, "a")
+    assert accepts(made, good) or made is False
+    assert made is True or not accepts(made, bad) or bad is None
