@@ -569,20 +569,9 @@ class TestBroker:
     @pytest.mark.filterwarnings("ignore::ResourceWarning")
     @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
     def test_tls_with_a_certificate_of_ours_and_without(self, tmp_path: Path) -> None:
-        ca, stranger = trustme.CA(), trustme.CA()
-        broker = Broker(tmp_path / "broker")
-        ca.cert_pem.write_to_path(tmp_path / "ca.pem")
-        stranger.cert_pem.write_to_path(tmp_path / "stranger.pem")
-        ca.issue_cert(broker.host).private_key_and_cert_chain_pem.write_to_path(
-            tmp_path / "broker.pem"
-        )
-        ca.issue_cert("client").private_key_and_cert_chain_pem.write_to_path(tmp_path / "us.pem")
-        for file in tmp_path.glob("*.pem"):
-            file.chmod(0o644)
-        broker.lines = (
-            f"allow_anonymous true\ncafile {tmp_path}/ca.pem\ncertfile {tmp_path}/broker.pem\n"
-            f"keyfile {tmp_path}/broker.pem\nrequire_certificate true\n"
-        )
+        broker = Broker(tmp_path / "broker", "allow_anonymous true\n" + TLS.format(tmp_path))
+        certify(broker, tmp_path)
+        trustme.CA().cert_pem.write_to_path(tmp_path / "stranger.pem")
         broker.start()
         url = f"mqtts://{broker.host}:{broker.port}"
         ours = {"ca": f"{tmp_path}/ca.pem", "certificate": f"{tmp_path}/us.pem"}
@@ -593,13 +582,72 @@ class TestBroker:
                 collector.wait(1, patience())
             for tls, why in (
                 ({**ours, "ca": f"{tmp_path}/stranger.pem"}, "CERTIFICATE_VERIFY_FAILED"),
-                ({"ca": ours["ca"]}, "no connection to the broker"),
+                ({"ca": ours["ca"]}, "(?i)alert certificate|ask for a certificate of the client"),
+                (None, "ended before the broker answered: does it ask for TLS"),
             ):
-                refused = bridge_to(broker, url=url, tls=tls)
+                options = {"url": broker.url} if tls is None else {"url": url, "tls": tls}
+                refused = bridge_to(broker, **options)
                 with refused as bad, pytest.raises(BridgeError, match=why):
                     bad.describe(endpoint("x"))
         finally:
             broker.stop()
+
+    @pytest.mark.filterwarnings("ignore::ResourceWarning")
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+    def test_files_that_were_renewed_count_from_the_next_connection_on(
+        self, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        secret, passwords = tmp_path / "secret", tmp_path / "passwords"
+        broker = Broker(tmp_path / "broker", f"password_file {passwords}\n" + TLS.format(tmp_path))
+
+        def renew(password: str) -> None:
+            certify(broker, tmp_path)
+            secret.write_text(password)
+            passwords.write_text(f"ours:{hashed(password)}\n")
+            passwords.chmod(0o644)
+
+        renew("open sesame")
+        broker.start()
+        options = {
+            "url": f"mqtts://{broker.host}:{broker.port}",
+            "tls": {"ca": f"{tmp_path}/ca.pem", "certificate": f"{tmp_path}/us.pem"},
+            "user": "ours",
+            "password_file": str(secret),
+            "grace": patience(),
+        }
+        try:
+            with bridge_to(broker, **options) as bridge:
+                events = health_events(bridge)
+                collector, _ = listen(bridge, "a")
+                speak(bridge, "a").send(1)
+                assert collector.wait(1, patience()) == [1]
+                broker.stop()
+                until(events, Health.DEGRADED)
+                ours = (tmp_path / "us.pem").read_bytes()
+                (tmp_path / "us.pem").write_text("half of it")
+                wait(lambda: "what was read before is used" in caplog.text, caplog.text, patience())
+                (tmp_path / "us.pem").write_bytes(ours)
+                renew("open barley")
+                broker.start()
+                until(events, Health.OK)
+                speak(bridge, "a").send(2)
+                assert collector.wait(2, patience()) == [1, 2]
+                assert "barley" not in f"{caplog.text}{vars(bridge)}"
+        finally:
+            broker.stop()
+
+
+TLS = "cafile {0}/ca.pem\ncertfile {0}/broker.pem\nkeyfile {0}/broker.pem\nrequire_certificate true"
+
+
+def certify(broker: Broker, folder: Path) -> None:
+    """Write the certificates of an authority, of a broker and of a client."""
+    authority = trustme.CA()
+    authority.cert_pem.write_to_path(folder / "ca.pem")
+    for file, name in (("broker.pem", broker.host), ("us.pem", "client")):
+        authority.issue_cert(name).private_key_and_cert_chain_pem.write_to_path(folder / file)
+    for path in folder.glob("*.pem"):
+        path.chmod(0o644)
 
 
 def hashed(password: str) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import trustme
 from attrs import evolve
 from parts import stage
 from robots import ROBOT, ServedRobot, here
@@ -67,6 +68,12 @@ def facts_of(manager: RobotManager) -> dict[str, object]:
     return dict(manager.status().bridges[0].facts)
 
 
+def can_call(manager: RobotManager) -> bool:
+    with suppress(BridgeError, ResolutionError):
+        return bool(manager.call("double", {"value": 2}, timeout=patience()) == {"value": 4})
+    return False
+
+
 def through(proxy: Proxy) -> str:
     return f"ws://127.0.0.1:{proxy.port}/"
 
@@ -96,6 +103,28 @@ def test_a_message_that_is_longer_than_the_other_takes_ends_nothing_else(
     assert facts_of(manager)["breaks"] == 0
 
 
+def test_an_authority_that_was_renewed_is_trusted_from_the_next_connection_on(
+    robot: ServedRobot, desk: Desk, tmp_path: Path
+) -> None:
+    certificate, trusted = tmp_path / "own.pem", tmp_path / "ca.pem"
+
+    def renew() -> None:
+        authority = trustme.CA()
+        authority.cert_pem.write_to_path(trusted)
+        issued = authority.issue_cert("127.0.0.1")
+        issued.private_key_and_cert_chain_pem.write_to_path(certificate)
+
+    renew()
+    options = ServerOptions(port=0, certificate=certificate)
+    with serve_in_thread(robot.manager, options) as server:
+        port = server.ports[0]
+        manager = desk(f"wss://127.0.0.1:{port}/", f", tls: {{ca: '{trusted}'}}")
+        assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+    renew()
+    with serve_in_thread(robot.manager, evolve(options, port=port)):
+        wait(lambda: can_call(manager), "the link is not made anew", patience())
+
+
 def test_a_link_that_ends_in_no_known_way_is_made_anew(
     robot: ServedRobot, desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,13 +140,7 @@ def test_a_link_that_ends_in_no_known_way_is_made_anew(
     with suppress(BridgeError, ResolutionError):  # as it fails: nothing or the answer
         manager.call("double", {"value": 1}, timeout=patience())
     wait(lambda: not failures, "it did not fail", patience())
-
-    def is_back() -> bool:
-        with suppress(BridgeError, ResolutionError):
-            return bool(manager.call("double", {"value": 2}, timeout=patience()) == {"value": 4})
-        return False
-
-    wait(is_back, "the link is not made anew", patience())
+    wait(lambda: can_call(manager), "the link is not made anew", patience())
 
 
 def test_a_kill_here_ends_there_what_only_this_used(robot: ServedRobot, desk: Desk) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 import trustme
+from attrs import evolve
 from played import LISTEN, TALK, Played, asked, bridge_to, seen
 from ros import Serve, eventually, url
 from uoarm_rosbridge.client import _connection
@@ -17,11 +19,11 @@ from uoarm_rosbridge.client._types import read_types, reader, structure_of, writ
 from websockets.sync.server import ServerConnection
 
 from uoarm import RobotManager
-from uoarm.bridge import options_table
+from uoarm.bridge import HealthEvent, options_table
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Role
-from uoarm.server import hash_token, make_token
+from uoarm.server import ServerOptions, hash_token, make_token, serve_in_thread
 from uoarm.testing import Collector, patience
 
 ACCESS = """
@@ -82,6 +84,40 @@ def test_tls_is_spoken_and_the_token_shown(
     for options, why in refused:
         with bridge_to(address, **options) as bridge, pytest.raises(BridgeError, match=why):
             bridge.describe(source, timeout=patience())
+
+
+def test_files_that_were_renewed_count_from_the_next_connection_on(
+    robot: RobotManager, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for limit in ("_STEP_SECONDS", "_CONNECT_SECONDS"):
+        monkeypatch.setattr(_connection, limit, patience())
+    certificate, trusted, access, secret = (
+        tmp_path / name for name in ("own.pem", "ca.pem", "access.yaml", "token")
+    )
+
+    def renew() -> None:
+        authority, token = trustme.CA(), make_token()
+        authority.cert_pem.write_to_path(trusted)
+        issued = authority.issue_cert("127.0.0.1")
+        issued.private_key_and_cert_chain_pem.write_to_path(certificate)
+        access.write_text(ACCESS.format(token=hash_token(token)))
+        secret.write_text(token)
+
+    renew()
+    options = ServerOptions(port=0, certificate=certificate, access=access)
+    source = Endpoint("far", "numbers", Role.OUTPUT, ("/uoarm/numbers",))
+    with ExitStack() as bridges:
+        with serve_in_thread(robot, options) as server:
+            address = url(server).replace("ws://", "wss://")
+            shown = {"tls": {"ca": str(trusted)}, "token_file": str(secret)}
+            bridge = bridges.enter_context(bridge_to(address, grace=60, **shown))
+            events: list[HealthEvent] = []
+            bridge.watch(events.append)
+            assert bridge.describe(source, timeout=patience()).message is not None
+        eventually(lambda: bool(events), "the break is reported")
+        renew()
+        with serve_in_thread(robot, evolve(options, port=server.ports[0])):
+            eventually(lambda: events[-1].health is Health.OK, "it is connected again")
 
 
 def test_a_message_of_a_topic_comes_once_to_each_source(played: Played) -> None:

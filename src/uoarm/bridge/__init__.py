@@ -24,6 +24,7 @@ from uoarm.bridge._options import (
     address_check,
     option,
     options_table,
+    renewed,
 )
 from uoarm.bridge._registry import (
     MOST_HOPS,
@@ -89,5 +90,6 @@ __all__ = [
     "options_table",
     "reading_endpoint",
     "refuse_loop",
+    "renewed",
     "text_of",
 ]

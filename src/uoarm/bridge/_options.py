@@ -13,6 +13,7 @@ Schema, since the type checker then knows what the bridge reads; the schema foll
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -24,10 +25,13 @@ from typing_extensions import Self
 from uoarm._mistakes import Mistake, Speller, schema_mistakes
 from uoarm._support.yaml import write_path
 from uoarm.bridge._border import reading_endpoint
+from uoarm.errors import ConfigurationError
 from uoarm.model import Endpoint, Options, Schema
 
 if TYPE_CHECKING:
     import ssl
+
+_log = logging.getLogger("uoarm.bridge")
 
 _OPTION = "uoarm option"
 T = TypeVar("T")
@@ -184,6 +188,28 @@ class TlsOptions(DeclaredOptions):
 
         what = f"bridge {bridge!r}: tls"
         return client_context(self.ca, self.certificate, self.key, what=what)
+
+
+def renewed(read: Callable[[], T]) -> Callable[[], T]:
+    """Read files now, and return what reads them again: certificates and passwords are renewed.
+
+    To be called for each attempt to connect. Where the files cannot be read any more, as while they
+    are written, it returns what was read last, and logs why.
+
+    Raises:
+        ConfigurationError: they cannot be read now.
+    """
+    latest = read()
+
+    def again() -> T:
+        nonlocal latest
+        try:
+            latest = read()
+        except ConfigurationError as error:
+            _log.warning("%s; what was read before is used", error)
+        return latest
+
+    return again
 
 
 def address_check(

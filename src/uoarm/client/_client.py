@@ -54,7 +54,8 @@ class ServerAddress:
     Attributes:
         url: `ws://` or `wss://`.
         token: shown in the handshake; None: none is.
-        tls: for `wss://`, where the system's authorities do not do.
+        tls: for `wss://`, where the system's authorities do not do; or what returns it for each
+            attempt to connect.
         timeout: seconds for connecting.
         silence: seconds without a sign of life after which the connection counts as dropped.
         headers: further ones of the handshake.
@@ -62,7 +63,7 @@ class ServerAddress:
 
     url: str
     token: str | None = field(default=None, repr=False)
-    tls: ssl.SSLContext | None = None
+    tls: ssl.SSLContext | Callable[[], ssl.SSLContext] | None = None
     timeout: float = 10.0
     silence: float = 20.0
     headers: Mapping[str, str] = MappingProxyType({})
@@ -90,7 +91,8 @@ class ServerAddress:
         if self.token is not None:
             headers["Authorization"] = f"Bearer {self.token}"
         limits = {"timeout": self.timeout, "silence": self.silence}
-        return await ClientSocket.open(self.url, form, headers, self.tls, LARGEST.octets, **limits)
+        tls = self.tls() if callable(self.tls) else self.tls
+        return await ClientSocket.open(self.url, form, headers, tls, LARGEST.octets, **limits)
 
 
 @arguments()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import socket
+import ssl
 import sys
 import threading
 import time
@@ -23,7 +24,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from uoarm.bridge import Backoff, Disconnection, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
-from uoarm_mqtt._options import ConnectionOptions
+from uoarm_mqtt._options import BrokerCredentials, ConnectionOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
 _log = logging.getLogger("uoarm.mqtt")
@@ -89,6 +90,8 @@ class _Client(ThreadedClient):
     """paho's client, whose thread does not end without a word."""
 
     when_ended: Callable[[Exception | None], None]
+    is_answered: bool  # whether the broker answered the attempt that was begun last
+    _broken_by: OSError | None
 
     def loop_forever(
         self,
@@ -103,6 +106,42 @@ class _Client(ThreadedClient):
             return MQTTErrorCode.MQTT_ERR_UNKNOWN
         finally:
             self.when_ended(cause)
+
+    def show(self, credentials: BrokerCredentials) -> None:
+        """Show the broker these from the next connection on."""
+        self.is_answered, self._broken_by = False, None
+        if credentials.user:
+            self.username_pw_set(credentials.user, credentials.password)
+        if credentials.context is not None:
+            self._ssl_context = None  # paho takes one, and no other after it
+            self.tls_set_context(credentials.context)
+
+    def why_broken(self, reason: ReasonCode) -> str:
+        """Say why the connection broke: paho logs the error, and reports another for all."""
+        error = self._broken_by
+        why = _say(reason) if error is None else text_of(error)
+        if self.is_answered or isinstance(error, ssl.SSLError):
+            return f"the connection broke: {why}"
+        hint = "a certificate of the client (`tls`)" if self._ssl else "TLS (`mqtts://`)"
+        return f"it ended before the broker answered: does it ask for {hint}? {why}"
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        try:
+            return super()._sock_recv(bufsize)
+        except OSError as error:
+            self._note(error)
+            raise
+
+    def _sock_send(self, buf: bytes | bytearray) -> int:
+        try:
+            return super()._sock_send(buf)
+        except OSError as error:
+            self._note(error)
+            raise
+
+    def _note(self, error: OSError) -> None:
+        if not isinstance(error, BlockingIOError):
+            self._broken_by = error
 
     def keep_within(self, most: int) -> None:
         """Have no more messages under way at once than the broker takes, which paho forgets."""
@@ -164,10 +203,7 @@ class BrokerConnection:
         client.on_publish = lambda _c, _u, mid, reason, _p: self._answer(("p", mid), [reason])
         client.on_subscribe = lambda _c, _u, mid, reasons, _p: self._answer(("s", mid), reasons)
         client.on_unsubscribe = lambda _c, _u, mid, reasons, _p: self._answer(("u", mid), reasons)
-        if options.login is not None:
-            client.username_pw_set(*options.login())
-        if options.context is not None:
-            client.tls_set_context(options.context)
+        client.on_pre_connect = self._on_pre_connect
         if options.announcement is not None:
             client.will_set(
                 options.announcement.topic, options.announcement.will, qos=1, retain=True
@@ -431,10 +467,15 @@ class BrokerConnection:
         for pending in failed:
             pending.done(PacketOutcome(cause, is_answer=False))
 
+    def _on_pre_connect(self, client: Client, user: Any) -> None:
+        del client, user
+        self._client.show(self.options.credentials())
+
     def _on_connect(
         self, client: Client, user: Any, flags: ConnectFlags, reason: ReasonCode, more: object
     ) -> None:
         del client, user
+        self._client.is_answered = True
         if reason.is_failure:
             self._down(f"the broker refuses: {_say(reason)}", final=reason.value in _FINAL)
             return
@@ -492,8 +533,11 @@ class BrokerConnection:
     ) -> None:
         del client, user, more
         by_broker = flags.is_disconnect_packet_from_server
-        who = "the broker ended the connection" if by_broker else "the connection broke"
-        self._down(f"{who}: {_say(reason)}", final=by_broker and reason.value in _FINAL)
+        if by_broker:
+            text = f"the broker ended the connection: {_say(reason)}"
+            self._down(text, final=reason.value in _FINAL)
+        else:
+            self._down(self._client.why_broken(reason))
 
     def _on_ended(self, error: Exception | None) -> None:
         if error is not None:

@@ -9,9 +9,16 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from attrs import frozen
+from attrs import field, frozen
 
-from uoarm.bridge import BridgeOptions, DeclaredOptions, EndpointOptions, TlsOptions, option
+from uoarm.bridge import (
+    BridgeOptions,
+    DeclaredOptions,
+    EndpointOptions,
+    TlsOptions,
+    option,
+    renewed,
+)
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Options, is_loopback
 
@@ -271,6 +278,21 @@ class PresenceAnnouncement:
 
 
 @frozen
+class BrokerCredentials:
+    """What the broker is shown, and what of it is trusted, as files say now.
+
+    Attributes:
+        user: that the broker knows, "" for none.
+        password: of the user.
+        context: for TLS; None without it.
+    """
+
+    user: str
+    password: str | None = field(repr=False)
+    context: ssl.SSLContext | None
+
+
+@frozen
 class ConnectionOptions:
     """How to connect to a broker, read from options. The password is in no text of it.
 
@@ -278,8 +300,7 @@ class ConnectionOptions:
         host: of the broker.
         port: of the broker.
         client_id: two clients with the same one end each other's connection.
-        login: of paho: user and password, or None; behind a closure, so that no repr shows it.
-        context: for TLS; None without it.
+        credentials: reads what the broker is shown, for each attempt to connect.
         keepalive: seconds after which a broker that says nothing is asked whether it lives.
         grace: seconds that a break may last before it is a loss.
         announcement: what the client says of itself; None: nothing.
@@ -290,8 +311,7 @@ class ConnectionOptions:
     host: str
     port: int
     client_id: str
-    login: Any
-    context: ssl.SSLContext | None
+    credentials: Callable[[], BrokerCredentials]
     keepalive: int
     grace: float
     announcement: PresenceAnnouncement | None
@@ -313,13 +333,16 @@ def connection_options(
         ConfigurationError: one cannot be read.
     """
     host, port, is_secure = options.place
-    password = _password(name, options)
+
+    def credentials() -> BrokerCredentials:
+        tls = (options.tls or TlsOptions()).context(name) if is_secure else None
+        return BrokerCredentials(options.user, _password(name, options), tls)
+
     return ConnectionOptions(
         host=host,
         port=port,
         client_id=options.client_id or f"uoarm-{name}-{os.urandom(4).hex()}",
-        login=(lambda: (options.user, password)) if options.user else None,
-        context=(options.tls or TlsOptions()).context(name) if is_secure else None,
+        credentials=renewed(credentials),
         keepalive=options.keepalive,
         grace=options.grace,
         announcement=announcement,

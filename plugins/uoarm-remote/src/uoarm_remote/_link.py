@@ -13,12 +13,13 @@ import ssl
 import threading
 import time
 from collections.abc import Callable, Coroutine, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from websockets.exceptions import InvalidHandshake, InvalidStatus
 
-from uoarm.bridge import Backoff, asking_managers, refuse_loop, text_of
+from uoarm.bridge import Backoff, asking_managers, refuse_loop, renewed, text_of
 from uoarm.client import RemoteRobot, ServerAddress, ServerError, ThreadAnswer, trust_fingerprint
 from uoarm.errors import (
     BridgeError,
@@ -436,9 +437,9 @@ async def server_address(name: str, options: ManagerOptions, identity: str = "")
         OSError: no server listens there.
     """
     token = None if options.token_file is None else _token(Path(options.token_file))
-    tls: ssl.SSLContext | None = None
+    tls: ssl.SSLContext | Callable[[], ssl.SSLContext] | None = None
     if options.tls is not None:
-        tls = options.tls.context(name)
+        tls = renewed(partial(options.tls.context, name))
     elif options.fingerprint is not None:
         tls = await asyncio.to_thread(
             trust_fingerprint, options.url, options.fingerprint, timeout=options.timeout

@@ -18,6 +18,7 @@ from uoarm.bridge import (
     ServiceStructures,
     Sink,
     Source,
+    renewed,
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
@@ -59,7 +60,7 @@ class RosbridgeBridge(Bridge):
 
     def __init__(self, name: str, options: ClientOptions) -> None:
         super().__init__(name, options)
-        access = ServerAccess.of(name, options)
+        access = renewed(lambda: ServerAccess.of(name, options))
         self._connection = ServerConnection(name, options, access, self.report)
         self._connection.watchers = (self._changed,)
         # rosbridge_suite works through what a client sends in order, and waits for each reply: a

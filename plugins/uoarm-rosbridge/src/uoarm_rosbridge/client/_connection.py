@@ -72,7 +72,7 @@ class ServerConnection:
     Args:
         name: of the bridge.
         options: of the bridge.
-        access: what the server is shown.
+        access: reads what the server is shown, for each attempt to connect.
         report: has the health of the connection reported.
 
     Attributes:
@@ -86,11 +86,11 @@ class ServerConnection:
         self,
         name: str,
         options: ClientOptions,
-        access: ServerAccess,
+        access: Callable[[], ServerAccess],
         report: Callable[[Health, str], None],
     ) -> None:
         self.options = options
-        self._access = access
+        self._read_access, self._access = access, access()
         self.serving: dict[tuple[str, str], Callable[[Fields], None]] = {}
         self.watchers: tuple[Callable[[str], None], ...] = ()
         self.breaks = 0
@@ -337,6 +337,7 @@ class ServerConnection:
 
     def _connect(self) -> ClientConnection:
         options, left = self.options, self._disconnection.left(time.monotonic())
+        self._access = self._read_access()
         limit = _CONNECT_SECONDS if left is None else max(left, _QUICKEST_SECONDS)
         return connect(
             options.url,
