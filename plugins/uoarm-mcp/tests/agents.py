@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from collections.abc import Coroutine, Mapping
-from contextlib import AsyncExitStack
+from collections.abc import AsyncIterator, Coroutine, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -91,6 +91,13 @@ class Agents:
         if (name, mode) not in self._clients:
             self._clients[name, mode] = self.run(self._held(self._open(name, mode)))
         return self._clients[name, mode]
+
+    @asynccontextmanager
+    async def session(self, name: str, mode: str) -> AsyncIterator[Client]:
+        """Have a client of the SDK for a while, in the loop of the clients."""
+        client, stack = await self._open(name, mode)
+        async with stack:
+            yield client
 
     def remote(self, name: str = "nurse") -> RemoteRobot:
         """Return a connected client of the native protocol."""

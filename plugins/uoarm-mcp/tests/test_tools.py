@@ -8,6 +8,7 @@ import json
 import threading
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import httpx2
 import pytest
@@ -16,7 +17,11 @@ from components import script
 from mcp.server.session import ServerSession
 from mcp.shared.exceptions import MCPError
 
+from uoarm_mcp._streams import AgentStreams
+
 from uoarm import RobotManager
+from uoarm.model import LeaseHolder
+from uoarm.server.front_end import FeedKey
 from uoarm.testing import Script, patience, wait
 
 MODES = ("auto", "legacy", "2026-07-28")
@@ -271,6 +276,51 @@ def test_a_client_that_does_not_read_has_one_notice_under_way(
     finally:
         read.set()
     wait(lambda: len(begun) == 2, "there is one notice for all that came meanwhile")
+
+
+@pytest.mark.filterwarnings("ignore::mcp.shared.exceptions.MCPDeprecationWarning")
+@pytest.mark.parametrize("end", ["unsubscribe", "session"])
+def test_what_is_watched_no_more_is_closed(
+    agents: Agents, robot: RobotManager, monkeypatch: pytest.MonkeyPatch, end: str
+) -> None:
+    monkeypatch.setattr("uoarm_mcp._streams._IDLE_SECONDS", 0.0)
+    uri = "uoarm://stream/numbers"
+
+    async def watch() -> None:
+        async with agents.session("agent", "legacy") as client:
+            for _ in range(2):
+                await client.subscribe_resource(uri)
+            if end == "unsubscribe":
+                await client.unsubscribe_resource(uri)
+                await asyncio.to_thread(wait, lambda: not robot.connections(), "it is closed")
+            else:
+                assert robot.connections()
+
+    agents.run(watch())
+    wait(lambda: not robot.connections(), "it is closed with the session")
+
+
+async def test_what_opens_for_a_client_that_has_gone_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("uoarm_mcp._streams._IDLE_SECONDS", 0.0)
+    joining, gate, left = asyncio.Event(), asyncio.Event(), asyncio.Event()
+    feed = Mock()
+
+    async def join(key: FeedKey) -> Any:
+        del key
+        joining.set()
+        await gate.wait()
+        return feed
+
+    backend = Mock(join=join, leave=lambda closed: closed is feed and left.set())
+    streams = AgentStreams(backend, Mock(), LeaseHolder("agent", "agent"))
+    reading = asyncio.ensure_future(streams.read("numbers.default", 1, 30, latest=True))
+    await joining.wait()
+    reading.cancel()
+    gate.set()
+    await asyncio.wait_for(left.wait(), patience())
+    assert streams.open == []
 
 
 def latest(agents: Agents) -> Any:

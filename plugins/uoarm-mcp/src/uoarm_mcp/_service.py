@@ -9,11 +9,13 @@ import asyncio
 import base64
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from contextvars import ContextVar
 from functools import partial
 from typing import Any
 
 from jsonschema import Draft202012Validator
+from mcp.server.connection import Connection
 from mcp.server.context import ServerRequestContext
 from mcp.server.lowlevel import Server as ProtocolServer
 from mcp.server.subscriptions import (
@@ -87,8 +89,14 @@ _INSTRUCTIONS = (
 _NOTICE_SECONDS = 0.2
 _MOST_LISTENING = 16
 _MOST_SUBSCRIBED = 64
+_SUBSCRIBES = "uoarm.subscribes"
 _Context = ServerRequestContext[Any, Any]
 _client: ContextVar[StatelessClient | None] = ContextVar("uoarm_mcp_guest", default=None)
+
+
+def _connection(context: _Context) -> Connection:
+    """Return what lasts from the first request of a session to its end; `session` is a request's."""
+    return context.session._connection  # noqa: SLF001 - the SDK has no other way to its `exit_stack`
 
 
 class Agent:
@@ -281,7 +289,7 @@ class AgentService:
         self._listening: dict[StatelessClient, int] = {}
         self._buses: dict[InMemorySubscriptionBus, None] = {}
         self._publishing: set[asyncio.Task[None]] = set()
-        self._subscribed: dict[tuple[StatelessClient, int, str], Callable[[], None]] = {}
+        self._subscribed: dict[tuple[StatelessClient, Connection, str], Callable[[], None]] = {}
         self.protocol: ProtocolServer[Any] = ProtocolServer(
             "uoarm",
             version=version,
@@ -341,8 +349,7 @@ class AgentService:
         return agent
 
     def _forget(self, client: StatelessClient) -> None:
-        for key in [key for key in self._subscribed if key[0] is client]:
-            self._subscribed.pop(key)()
+        self._end_subscriptions(client)
         agent = self._agents.pop(client, None)
         if agent is not None:
             agent.close()
@@ -409,7 +416,8 @@ class AgentService:
 
     async def _subscribe(self, context: _Context, params: SubscribeRequestParams) -> EmptyResult:
         agent, uri, session = self._agent(context), str(params.uri), context.session
-        key = agent.client, id(session), uri
+        connection = _connection(context)
+        key = agent.client, connection, uri
         if key in self._subscribed:
             return EmptyResult()
         if (
@@ -419,27 +427,30 @@ class AgentService:
             raise MCPError(INVALID_PARAMS, f"limit: {_MOST_SUBSCRIBED} resources are watched")
 
         async def send() -> None:
-            try:
+            with suppress(Exception):  # what its transport raises where it is gone
                 await session.send_resource_updated(uri)
-            except Exception:  # noqa: BLE001 - a session that is gone raises what its transport does
-                end = self._subscribed.pop(key, None)
-                if end is not None:
-                    end()
 
         try:
             self._subscribed[key] = await self._watch(agent, uri, send)
         except UoarmError as error:
             raise MCPError(INVALID_PARAMS, failure_text(error)) from None
+        if _SUBSCRIBES not in connection.state:
+            connection.state[_SUBSCRIBES] = True
+            connection.exit_stack.callback(self._end_subscriptions, connection)
         return EmptyResult()
 
     async def _unsubscribe(
         self, context: _Context, params: UnsubscribeRequestParams
     ) -> EmptyResult:
-        key = self._agent(context).client, id(context.session), str(params.uri)
+        key = self._agent(context).client, _connection(context), str(params.uri)
         end = self._subscribed.pop(key, None)
         if end is not None:
             end()
         return EmptyResult()
+
+    def _end_subscriptions(self, owner: StatelessClient | Connection) -> None:
+        for key in [key for key in self._subscribed if owner in key[:2]]:
+            self._subscribed.pop(key)()
 
     async def _listen(
         self, context: _Context, params: SubscriptionsListenRequestParams

@@ -249,7 +249,11 @@ class AgentStreams:
                     self._make_room()
                 opening = self._opening[key] = asyncio.ensure_future(self._open(key, first))
                 opening.add_done_callback(lambda _: self._opening.pop(key, None))
-            held = await asyncio.shield(opening)
+            try:
+                held = await asyncio.shield(opening)
+            except asyncio.CancelledError:
+                opening.add_done_callback(lambda _: self._await_use(key))
+                raise
         if check is not None:
             self._check(key, held, check)
         held.users += 1
@@ -276,6 +280,12 @@ class AgentStreams:
             return
         if held.end or self._held.get(key) is not held:
             self._leave(key, held)
+            return
+        self._await_use(key)
+
+    def _await_use(self, key: FeedKey) -> None:
+        held = self._held.get(key)
+        if held is None or held.users or held.timer is not None:
             return
         loop = asyncio.get_running_loop()
         held.timer = loop.call_later(_IDLE_SECONDS, self._leave, key, held)
