@@ -16,7 +16,6 @@ from agents import TOKENS, Agents, text_of
 from components import script
 from mcp.server.session import ServerSession
 from mcp.shared.exceptions import MCPError
-
 from uoarm_mcp._streams import AgentStreams
 
 from uoarm import RobotManager

@@ -95,7 +95,7 @@ _client: ContextVar[StatelessClient | None] = ContextVar("uoarm_mcp_guest", defa
 
 
 def _connection(context: _Context) -> Connection:
-    """Return what lasts from the first request of a session to its end; `session` is a request's."""
+    """Return what a session is from its first request to its end; `session` is of one request."""
     return context.session._connection  # noqa: SLF001 - the SDK has no other way to its `exit_stack`
 
 
