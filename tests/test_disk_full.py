@@ -23,7 +23,7 @@ from uoarm._support.files import write_whole
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, UoarmError, UsageError
-from uoarm.server.http._listener import own_certificate
+from uoarm.server.http._certificate import own_certificate
 from uoarm.testing import patience
 
 HOSTED = """

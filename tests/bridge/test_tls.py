@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives.serialization import (
     Encoding,
     NoEncryption,
     PrivateFormat,
+    load_pem_private_key,
 )
 
 from uoarm._support.certificates import new_key
@@ -61,6 +62,30 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path, certificate: Path) ->
     for shown, authority in ((missing, None), (certificate, missing)):
         with pytest.raises(ConfigurationError, match=r"TLS: .*no\.pem: .*No such file"):
             server_context(shown, None, authority)
+
+
+def test_what_a_pair_lacks_is_said(tmp_path: Path, certificate: Path) -> None:
+    lines = certificate.read_text().splitlines(keepends=True)
+    at = lines.index("-----BEGIN CERTIFICATE-----\n")
+    alone, key, secret = tmp_path / "alone.pem", tmp_path / "own.key", tmp_path / "secret.key"
+    alone.write_text("".join(lines[at:]))
+    key.write_text("".join(lines[:at]))
+    made = load_pem_private_key(key.read_bytes(), None)
+    secret.write_bytes(
+        made.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"x"))
+    )
+    for pair, text in (
+        ((alone, None), f"there is no private key in {alone}: name the file of its key as well"),
+        ((key, alone), f"there is no certificate in {key}"),
+        ((alone, alone), f"there is no private key in {alone}"),
+        ((alone, secret), "the key has a passphrase: only one without is used"),
+    ):
+        for show in (partial(client_context, None), server_context):
+            with pytest.raises(ConfigurationError, match=text):
+                show(*pair)
+    server_context(alone, key)
+    with pytest.raises(ConfigurationError, match="the certificate of this key is missing"):
+        client_context(key=key)
 
 
 @pytest.mark.parametrize("encryption", [NoEncryption(), BestAvailableEncryption(b"x")])

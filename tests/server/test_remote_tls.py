@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -115,9 +116,33 @@ def test_an_authority_is_trusted_and_a_certificate_is_shown(
     assert ask("stop", url_of(server), *trusted, "--key", joystick)[0] == 0
     assert ask("status", url_of(server), *trusted)[0] == 0
     assert ask("status", url_of(server), "--certificate", joystick)[0] == 4
+    ended = authority.issue("joystick.example", ends=timedelta(days=-1))
+    code, text = ask("status", url_of(server), *trusted[:2], "--certificate", ended)
+    assert (code, "may not accept --certificate" in text) == (4, True)
+    stranger = authority.issue("stranger.example")
+    code, text = ask("status", url_of(server), *trusted[:2], "--certificate", stranger)
+    assert (code, "or a --certificate whose name it has" in text) == (4, True)
     known = fingerprint_of(tmp_path / "server.pem")
     of_one = ("--fingerprint", known, "--token", "tablet")
     assert ask("status", url_of(server), *of_one)[0] == 0  # though it does not sign itself
+
+
+@pytest.mark.parametrize(
+    ("host", "ends", "said"),
+    [
+        ("localhost", -1, "certificate has expired; renew it there"),
+        ("127.0.0.2", 1, "connect by an address that it has"),
+    ],
+)
+def test_what_to_do_about_a_certificate_is_said(
+    serve: Serve, access: Path, tmp_path: Path, host: str, ends: int, said: str
+) -> None:
+    authority = Authority(tmp_path)
+    shown = authority.issue("server", ends=timedelta(days=ends))
+    server = serve(access=access, certificate=shown, host=host)
+    url = f"wss://{host}:{server.ports[0]}/"
+    code, text = ask("status", url, "--authority", authority.path)
+    assert (code, said in text) == (4, True), text
 
 
 @pytest.mark.parametrize(

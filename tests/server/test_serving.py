@@ -211,7 +211,8 @@ def test_of_every_address_those_are_reported_that_can_be_opened(
     _serve.say(server, evolve(settings, host="robot.local", client_authority=authority))
     named = capsys.readouterr().out
     assert "serving ws://robot.local:9080/ and " in named
-    assert "(uoarm token makes one), or a certificate that rests on ca.pem\n" in named
+    rests = f"or a certificate that rests on {authority.absolute()}\n"
+    assert f"(uoarm token makes one), {rests}" in named
     assert "listening on" not in named
 
 

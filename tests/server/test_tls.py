@@ -19,8 +19,9 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.sync.client import connect
 
 from uoarm.errors import ConfigurationError
-from uoarm.server import Limits, Server, fingerprint_of, hash_token
-from uoarm.server.http._listener import own_certificate
+from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, hash_token
+from uoarm.server.http._certificate import ShownCertificate, own_certificate
+from uoarm.testing import patience, wait
 
 ACCESS = """
 version: 1
@@ -199,7 +200,7 @@ def test_settings_that_contradict_one_another_are_refused(
     serve: Serve, authority: Authority
 ) -> None:
     certificate = authority.issue("server")
-    with pytest.raises(ConfigurationError, match="leave --certificate out"):
+    with pytest.raises(ConfigurationError, match="leave --certificate and --key out"):
         serve(certificate=certificate, own_certificate=True)
     with pytest.raises(ConfigurationError, match="--tls auto"):
         serve(client_authority=authority.path)
@@ -212,3 +213,51 @@ def test_a_slow_tls_handshake_is_given_up(serve: Serve, authority: Authority, sa
         plain.sendall(said)
         with suppress(ConnectionResetError):
             assert plain.recv(100) == b""
+
+
+def test_a_renewed_certificate_is_shown_to_new_connections(
+    serve: Serve, authority: Authority, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    shown = tmp_path / "shown.pem"
+    context = ssl.create_default_context(cafile=authority.path)
+
+    def put(content: bytes) -> None:
+        part = tmp_path / "part"
+        part.write_bytes(content)
+        part.replace(shown)
+
+    def name() -> str:
+        with (
+            socket.create_connection(("127.0.0.1", server.ports[0]), patience()) as plain,
+            context.wrap_socket(plain, server_hostname="localhost") as tls,
+        ):
+            subject = dict(part[0] for part in tls.getpeercert()["subject"])  # type: ignore[index]
+            return str(subject["commonName"])
+
+    put(authority.issue("first").read_bytes())
+    server = serve(certificate=shown)
+    with Talk(url(server), ssl=context) as client:
+        assert name() == "first"
+        put(b"nothing")
+        wait(lambda: "the one before is still shown" in caplog.text, "the mistake is logged")
+        assert name() == "first"
+        put(authority.issue("second").read_bytes())
+        wait(lambda: name() == "second", "new connections are shown the second one")
+        assert client.ask("Call", "add", {"a": 1, "b": 2}) == {"value": 3}
+
+
+def test_the_end_of_a_certificate_is_logged_before_it_comes(
+    authority: Authority, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = authority.issue("server", ends=timedelta(days=90))
+    certificate = ShownCertificate(path, None, None)
+    for days, logged in ((0, []), (77, ["ends"]), (78, []), (91, ["has ended"]), (92, [])):
+        caplog.clear()
+        certificate.warn(datetime.now(timezone.utc) + timedelta(days=days))
+        assert [str(record.args[1]) for record in caplog.records] == logged  # type: ignore[index]
+
+
+@pytest.mark.parametrize("more", [{}, {"own_certificate": True}])
+def test_a_key_alone_is_no_tls(authority: Authority, more: dict[str, bool]) -> None:
+    with pytest.raises(ConfigurationError, match="--key"):
+        ServerOptions(key=authority.issue("server"), **more).check()  # type: ignore[arg-type]

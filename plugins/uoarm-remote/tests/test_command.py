@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import ssl
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from robots import ServedRobot, fleet
+from uoarm_remote._link import why_unreachable
 
 from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience
@@ -76,6 +78,12 @@ def test_a_certificate_that_is_not_trusted_is_shown_with_what_to_compare(
     shown = capsys.readouterr().out
     assert f"its certificate is not trusted: {why}" in shown
     assert "compare `fingerprint` with what `uoarm serve` prints there" in shown
+
+
+def test_a_certificate_that_has_ended_asks_for_no_fingerprint() -> None:
+    error = ssl.SSLCertVerificationError(1, "x")
+    error.verify_code, error.verify_message = 10, "certificate has expired"
+    assert why_unreachable(error) == "its certificate is not trusted: certificate has expired"
 
 
 def test_a_configuration_that_is_wrong_or_imports_nothing(

@@ -13,6 +13,7 @@ import datetime as dt
 import ipaddress
 import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
@@ -238,10 +239,12 @@ class CertificateFacts:
 
     Attributes:
         names: names and addresses that it is for.
+        begins: from when on it holds.
         ends: when it ends.
     """
 
     names: frozenset[str]
+    begins: datetime
     ends: datetime
 
 
@@ -266,11 +269,17 @@ def make(names: Iterable[str], begins: datetime, ends: datetime) -> bytes:
 
 def read(pem: bytes) -> CertificateFacts | None:
     """Return what a certificate says, None where there is none that can be read."""
+    names = x509.SubjectAlternativeName([])
     try:
         certificate = x509.load_pem_x509_certificate(pem)
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except (ValueError, x509.ExtensionNotFound):
+        with suppress(x509.ExtensionNotFound):
+            names = certificate.extensions.get_extension_for_class(type(names)).value
+    except ValueError:
         return None
     hosts = names.get_values_for_type(x509.DNSName)
     addresses = [str(value) for value in names.get_values_for_type(x509.IPAddress)]
-    return CertificateFacts(frozenset([*hosts, *addresses]), certificate.not_valid_after_utc)
+    return CertificateFacts(
+        frozenset([*hosts, *addresses]),
+        certificate.not_valid_before_utc,
+        certificate.not_valid_after_utc,
+    )

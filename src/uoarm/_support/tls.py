@@ -10,6 +10,7 @@ import ssl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
+from pathlib import Path
 from typing import TypeAlias
 
 from uoarm.errors import ConfigurationError
@@ -40,6 +41,8 @@ def client_context(
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     if certificate is not None:
         show_certificate(context, certificate, key, what=what)
+    elif key is not None:
+        raise ConfigurationError(f"{what}: {key}: the certificate of this key is missing")
     return context
 
 
@@ -80,7 +83,24 @@ def show_certificate(
         ConfigurationError: a file cannot be used; the text names it.
     """
     with _using(what, certificate, key):
-        context.load_cert_chain(certificate, key, password=lambda: b"")
+        try:
+            context.load_cert_chain(certificate, key, password=lambda: b"")
+        except ssl.SSLError as error:
+            raise ValueError(_fault(certificate, key) or error) from error
+
+
+def _fault(certificate: _File, key: _File | None) -> str:
+    """Say what is wrong with files of which OpenSSL says no more than that it is."""
+    if b"CERTIFICATE-----" not in Path(certificate).read_bytes():
+        return f"there is no certificate in {certificate}"
+    secret = Path(key or certificate).read_bytes()
+    if b"PRIVATE KEY-----" not in secret:
+        return f"there is no private key in {key or certificate}" + (
+            "" if key else ": name the file of its key as well"
+        )
+    if b"ENCRYPTED" in secret:
+        return "the key has a passphrase: only one without is used"
+    return ""
 
 
 @contextmanager

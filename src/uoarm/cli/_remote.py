@@ -156,10 +156,18 @@ def asked(server: Remote, work: Callable[[Any], Awaitable[Any]], *, watches: boo
         except errors.UoarmError:
             raise
         except Exception as error:  # noqa: BLE001 - sockets and handshakes fail in many ways
-            fail(f"{server.url}: {_cause(error)}", BRIDGE, "UOA-402")
+            fail(f"{server.url}: {_cause(error, server)}", BRIDGE, "UOA-402")
 
 
-def _cause(error: Exception) -> str:
+_TO_DO = {  # by OpenSSL's number of what is wrong with a certificate
+    9: "look at the clocks",
+    10: "renew it there, or look at this machine's clock",
+    62: "connect by a name that it has",
+    64: "connect by an address that it has",
+}
+
+
+def _cause(error: Exception, server: Remote) -> str:
     """Say why a server was not reached, in words that need no knowledge of sockets."""
     import ssl  # noqa: PLC0415 - when first needed
     from http import HTTPStatus  # noqa: PLC0415 - when first needed
@@ -169,8 +177,9 @@ def _cause(error: Exception) -> str:
     if isinstance(error, TimeoutError):
         return "it does not answer"
     if isinstance(error, ssl.SSLCertVerificationError):
-        why = f"its certificate is not trusted: {error.verify_message}"
-        return f"{why}; give --authority FILE, or --fingerprint with what it printed at its start"
+        why = f"its certificate is not trusted: {error.verify_message.rstrip('.')}"
+        trust = "give --authority FILE, or --fingerprint with what it printed at its start"
+        return f"{why}; {_TO_DO.get(getattr(error, 'verify_code', 0), trust)}"
     if isinstance(error, ssl.SSLError):
         return f"no TLS: {error.reason or error}"
     if isinstance(error, OSError):
@@ -179,9 +188,13 @@ def _cause(error: Exception) -> str:
     from websockets.exceptions import InvalidMessage, InvalidStatus  # noqa: PLC0415 - an extra
 
     if isinstance(error, InvalidStatus) and error.response.status_code == HTTPStatus.UNAUTHORIZED:
-        return "it admits no client without a token (--token) that its access file has"
+        proof = "" if server.certificate is None else ", or a --certificate whose name it has"
+        return f"it admits no client without a token (--token) that its access file has{proof}"
     if isinstance(error, InvalidMessage):
-        return "no HTTP is spoken there: with TLS it is wss://"
+        if server.certificate is not None:
+            return "it ends the connection: it may not accept --certificate, or that has ended"
+        tls = "" if server.url.startswith("wss:") else ": with TLS it is wss://"
+        return f"no HTTP is spoken there{tls}"
     return text_of(error)
 
 

@@ -5,19 +5,14 @@ from __future__ import annotations
 import ipaddress
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from attrs import field, frozen
 
-from uoarm._support.tls import server_context
 from uoarm._support.user_paths import user_folder
 from uoarm.errors import ConfigurationError
 from uoarm.model import is_loopback
 from uoarm.server._limits import Limits
-from uoarm.server.http import own_certificate
-
-if TYPE_CHECKING:
-    import ssl
+from uoarm.server.http import ShownCertificate, own_certificate
 
 
 def _absolute(path: Path | None) -> Path | None:
@@ -52,10 +47,10 @@ class ServerOptions:
     access: Path | None = field(default=None, converter=_absolute)
     origins: tuple[str, ...] = ()
     hosts: tuple[str, ...] = ()
-    certificate: Path | None = None
+    certificate: Path | None = field(default=None, converter=_absolute)
     own_certificate: bool = False
-    key: Path | None = None
-    client_authority: Path | None = None
+    key: Path | None = field(default=None, converter=_absolute)
+    client_authority: Path | None = field(default=None, converter=_absolute)
     deflate: bool = False
     recordings: Path | None = field(default=None, converter=_absolute)
     audit: Path | None = field(default=None, converter=_absolute)
@@ -88,16 +83,20 @@ class ServerOptions:
         """Refuse settings that would let the network in unasked.
 
         Raises:
-            ConfigurationError: it listens off loopback without an access file, or asks for client
-                certificates without TLS.
+            ConfigurationError: it listens off loopback without an access file, asks for client
+                certificates without TLS, or has a key without its certificate.
         """
         if not self.local and self.access is None:
             raise ConfigurationError(
                 f"{self.host} can be reached from other machines: give an access file "
                 "(--access), or listen on 127.0.0.1"
             )
-        if self.certificate is not None and self.own_certificate:
-            raise ConfigurationError("--tls auto makes a certificate: leave --certificate out")
+        if self.own_certificate and (self.certificate is not None or self.key is not None):
+            raise ConfigurationError(
+                "--tls auto makes a certificate: leave --certificate and --key out"
+            )
+        if self.key is not None and self.certificate is None:
+            raise ConfigurationError("--key is that of --certificate, which is missing")
         if self.client_authority is not None and not self.secured:
             raise ConfigurationError(
                 "client certificates need TLS: give --certificate or --tls auto as well"
@@ -124,16 +123,14 @@ class ServerOptions:
         names = self.hosts if self.everywhere else (self.host, *self.hosts)
         return own_certificate(user_folder("state") / "tls", names)
 
-    def tls(self) -> ssl.SSLContext | None:
-        """Return the TLS context, None without a certificate.
+    def shown_certificate(self) -> ShownCertificate | None:
+        """Return what connections are shown, None without TLS.
 
         Raises:
             ConfigurationError: a file cannot be used.
         """
-        certificate = self.certificate_file()
-        if certificate is None:
-            return None
-        return server_context(certificate, self.key, self.client_authority)
+        path = self.certificate_file()
+        return None if path is None else ShownCertificate(path, self.key, self.client_authority)
 
 
 def _place(host: str, port: int) -> str:

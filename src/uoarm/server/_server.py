@@ -95,7 +95,8 @@ class Server:
             slowest=self._limits.handshake_seconds / 2,
             exports=lambda: robot.config.exports,
         )
-        self._tls = settings.tls()
+        self._certificate = settings.shown_certificate()
+        self._tls = None if self._certificate is None else self._certificate.context
         self._audit = Audit()
         self._audit_file: AuditFile | None = None
         self._decoder = FrameDecoder()
@@ -185,11 +186,8 @@ class Server:
         self._watches = [
             asyncio.ensure_future(_repeat(self._look_after_clients, "looking after the clients")),
         ]
-        if self._settings.access is not None:
-            # Reading and checking a file takes its time; a folder on the network may even hang.
-            reading = _repeat(
-                lambda: asyncio.to_thread(self._admission.refresh), "reading the access file"
-            )
+        if self._settings.access is not None or self._certificate is not None:
+            reading = _repeat(self._read_again, "reading the access file and the certificate")
             self._watches.append(asyncio.ensure_future(reading))
 
     async def stop(self) -> None:
@@ -389,6 +387,15 @@ class Server:
         form = FORMS.get(socket.subprotocol or "", TEXT_FORM)
         assert self._shared is not None, "the server was started"
         return NativeSession(client, registry, form, self._store, self._shared)
+
+    async def _read_again(self) -> None:
+        """Take in what has changed in the access file and in the certificate's."""
+        # Reading and checking a file takes its time; a folder on the network may even hang.
+        await asyncio.to_thread(self._admission.refresh)
+        if self._certificate is not None:
+            if await asyncio.to_thread(self._certificate.changed):
+                self._certificate.show()
+            self._certificate.warn()
 
     async def _look_after_clients(self) -> None:
         """Look after clients that are stuck or whose rights have changed."""

@@ -454,6 +454,9 @@ async def server_address(name: str, options: ManagerOptions, identity: str = "")
     )
 
 
+_SAID_IN_FULL = (9, 10, 62, 64)  # OpenSSL's: its time is to come, or is over; another name, address
+
+
 def why_unreachable(error: BaseException) -> str:
     """Say why there is no connection, of one of `CONNECTING_ERRORS`."""
     if isinstance(error, InvalidStatus):
@@ -462,6 +465,8 @@ def why_unreachable(error: BaseException) -> str:
         return "nothing listens there: does `uoarm serve` run?"
     if isinstance(error, ssl.SSLCertVerificationError):
         why = f"its certificate is not trusted: {error.verify_message}"
+        if getattr(error, "verify_code", 0) in _SAID_IN_FULL:
+            return why
         return f"{why}; compare `fingerprint` with what `uoarm serve` prints there"
     return text_of(error)
 

@@ -1,14 +1,13 @@
 """What happens before a session: listening, handshakes, pages, metrics, front ends."""
 
+from uoarm.server.http._certificate import ShownCertificate, fingerprint_of, own_certificate
 from uoarm.server.http._handshake import OWN_PATHS, FrontEnds, HandshakeHandler
 from uoarm.server.http._listener import (
     BACKLOG,
     ListeningSocket,
     NoRoomError,
     connections_possible,
-    fingerprint_of,
     listen,
-    own_certificate,
 )
 from uoarm.server.http._metrics import Metrics, Totals
 
@@ -20,6 +19,7 @@ __all__ = [
     "ListeningSocket",
     "Metrics",
     "NoRoomError",
+    "ShownCertificate",
     "Totals",
     "connections_possible",
     "fingerprint_of",

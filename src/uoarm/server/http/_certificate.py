@@ -1,0 +1,155 @@
+"""The certificate that a server shows: made for this user, or read again where it was renewed."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import socket
+import ssl
+import stat
+from collections.abc import Sequence
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from types import ModuleType
+
+from uoarm._origin import install_command
+from uoarm._support.files import stamp_of, write_whole
+from uoarm._support.tls import server_context, show_certificate
+from uoarm.errors import ConfigurationError
+
+_log = logging.getLogger("uoarm.server")
+_VALID = timedelta(days=397)
+_RENEW_BEFORE = timedelta(days=30)
+_EARLIER = timedelta(hours=1)
+_ALWAYS = ("localhost", "127.0.0.1", "::1")
+_LATE = timedelta(days=14)  # for a renewal; or a third of how long the certificate is good
+
+
+class ShownCertificate:
+    """What connections are shown: files that are read again after a change, as by a renewal.
+
+    Args:
+        path: PEM file of the certificate and its chain.
+        key: PEM file of its key; None: in the same file.
+        authority: PEM file that certificates of clients rest on; None: they are asked for none.
+
+    Attributes:
+        context: of each connection.
+
+    Raises:
+        ConfigurationError: a file cannot be used.
+    """
+
+    def __init__(self, path: Path, key: Path | None, authority: Path | None) -> None:
+        self._path, self._key, self._authority = path, key, authority
+        self._stamps = self._look()
+        self.context = server_context(path, key, authority)
+        self._facts = _maker().read(path.read_bytes())
+        self._warned = ""
+
+    def changed(self) -> bool:
+        """Say whether the files were changed, and can be used; mistakes are logged, once.
+
+        Blocks while it reads: called in a thread of its own, one call at a time.
+        """
+        stamps = self._look()
+        if stamps == self._stamps:
+            return False
+        self._stamps = stamps
+        try:
+            # Half of a pair would take the place of the one that is shown.
+            server_context(self._path, self._key, self._authority)
+        except ConfigurationError as error:
+            _log.error("the certificate is not used, the one before is still shown: %s", error)
+            return False
+        return True
+
+    def show(self) -> None:
+        """Show new connections what the files hold now, in the thread that makes connections."""
+        show_certificate(self.context, self._path, self._key)
+        self._facts = _maker().read(self._path.read_bytes())
+        self._warned = ""
+        _log.info("certificate %s was renewed, SHA-256 %s", self._path, fingerprint_of(self._path))
+
+    def warn(self, now: datetime | None = None) -> None:
+        """Log once that the certificate ends soon, and once that it has ended."""
+        facts, moment = self._facts, now or datetime.now(timezone.utc)
+        if facts is None or facts.ends - moment > min(_LATE, (facts.ends - facts.begins) / 3):
+            return
+        ends = "ends" if moment < facts.ends else "has ended"
+        if ends != self._warned:
+            self._warned = ends
+            at = f"{facts.ends:%Y-%m-%dT%H:%M:%SZ}"
+            text = "certificate %s %s at %s, from when on clients refuse it: renew the file"
+            _log.warning(text, self._path, ends, at)
+
+    def _look(self) -> tuple[tuple[int, ...], ...]:
+        return tuple(stamp_of(path) for path in (self._path, self._key) if path is not None)
+
+
+def own_certificate(folder: Path, names: Sequence[str], now: datetime | None = None) -> Path:
+    """Return a PEM file with a key and a self-signed certificate, made when there is none to use.
+
+    It is kept for over a year, so that clients may pin it, and made anew when it soon ends or does
+    not name the server.
+
+    Args:
+        folder: where it is kept, readable by this user only.
+        names: by which clients reach the server, beside those of loopback.
+        now: time of day.
+
+    Raises:
+        ConfigurationError: it cannot be kept there, others can read it, or the package
+            `cryptography` is missing.
+    """
+    path = folder / "server.pem"
+    wanted = list(dict.fromkeys((*_ALWAYS, socket.gethostname(), *names)))
+    moment = now or datetime.now(timezone.utc)
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _is_usable(path, wanted, moment):
+            made = _maker().make(wanted, moment - _EARLIER, moment + _VALID)
+            write_whole(path, made, private=True)
+    except OSError as error:
+        raise ConfigurationError(f"the server's own certificate: {path}: {error}") from error
+    return path
+
+
+def fingerprint_of(path: Path) -> str:
+    """Return the SHA-256 of the first certificate in a PEM file, as browsers show it.
+
+    Raises:
+        ConfigurationError: there is none.
+    """
+    try:
+        text = path.read_text(encoding="ascii")
+        begin = text.index(ssl.PEM_HEADER)
+        end = text.index(ssl.PEM_FOOTER, begin) + len(ssl.PEM_FOOTER)
+        digest = hashlib.sha256(ssl.PEM_cert_to_DER_cert(text[begin:end])).hexdigest().upper()
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"TLS: {path}: no certificate: {error}") from error
+    return ":".join(digest[at : at + 2] for at in range(0, len(digest), 2))
+
+
+def _is_usable(path: Path, wanted: Sequence[str], now: datetime) -> bool:
+    """Say whether the file that is there can be used."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return False
+    if stat.S_IMODE(mode) & 0o077:
+        raise ConfigurationError(
+            f"{path}: others may read this key: remove it, and a new one is made"
+        )
+    found = _maker().read(path.read_bytes())
+    return found is not None and set(wanted) <= found.names and found.ends - now > _RENEW_BEFORE
+
+
+def _maker() -> ModuleType:
+    try:
+        from uoarm._support import certificates  # noqa: PLC0415 - slow to import
+    except ImportError as error:
+        command = install_command("uoarm", "server")
+        text = f"making a certificate needs the package {error.name!r}: {command}"
+        raise ConfigurationError(text) from error
+    return certificates
