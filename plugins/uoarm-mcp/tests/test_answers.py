@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from typing import Any
+from unittest.mock import Mock
 
+import numpy as np
 import orjson
 import pytest
 from agents import Agents
 from jsonschema import Draft202012Validator
-from mcp_types import CallToolResult
+from mcp_types import CallToolResult, ResourceLink
 from uoarm_mcp._schemas import output_schema, read_output
-from uoarm_mcp._values import KeptValues, succeeded
+from uoarm_mcp._values import KeptValues, is_picture, picture_of, succeeded
 
 from uoarm.model import MessageStructure
 from uoarm.server.front_end import TEXT_FORM
@@ -73,11 +76,39 @@ def test_the_client_takes_them(agents: Agents) -> None:
 
 
 def test_numbers_of_a_summary_are_as_in_the_message() -> None:
-    class Account:
-        def charge(self, *_: object) -> None:
-            """Anything goes."""
-
-    rendered = KeptValues(Account()).render({"n": math.nan, "all": [2**70, *[1] * 20_000]})  # type: ignore[arg-type]
+    rendered = KeptValues(Mock()).render({"n": math.nan, "all": [2**70, *[1] * 20_000]})
     assert rendered.value["n"] == "NaN"
     assert rendered.value["all"]["first"] == [str(2**70), 1, 1]
     assert succeeded({"summary": rendered.value}).structured_content
+
+
+def test_an_array_is_summarised_as_the_list_of_its_numbers() -> None:
+    for numbers in ([math.nan, math.inf, 1.5, -2.0, *[0.25] * 20_000], [math.nan] * 20_000):
+        array = KeptValues(Mock()).render({"all": np.array(numbers)}).value["all"]
+        assert array.pop("shape") == [len(numbers)]
+        assert array == KeptValues(Mock()).render({"all": numbers}).value["all"]
+    huge = KeptValues(Mock()).render({"all": np.full(20_000, 1e308)}).value["all"]
+    assert (huge["least"], "mean" in huge) == (1e308, False)
+
+
+def test_of_a_map_no_list_is_made_for_its_summary() -> None:
+    cells = np.zeros((2_000, 1_000), np.int8)
+    tracemalloc.start()
+    try:
+        links: list[ResourceLink] = []
+        summary = KeptValues(Mock())._summary({"data": cells}, links, 2)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert (summary["data"]["shape"], summary["data"]["greatest"]) == ([2_000, 1_000], 0)
+    assert most < 4 * cells.nbytes
+
+
+@pytest.mark.parametrize("shape", [(640 * 480 * 3,), (480, 640, 3)])
+def test_pixels_in_an_array_are_a_picture(shape: tuple[int, ...]) -> None:
+    pytest.importorskip("PIL")
+    message = {"width": 640, "height": 480, "data": np.zeros(shape, np.uint8)}
+    assert is_picture(message)
+    assert picture_of(message).mime_type == "image/jpeg"
+    data = KeptValues(Mock()).render(message).value["data"]
+    assert ("octets" in data) is (len(shape) == 1), "a row of uint8 is octets in every form"

@@ -103,7 +103,7 @@ class KeptValues:
         return sum(len(octets) for _, octets, _ in self._kept.values())
 
     def _summary(self, value: Message, links: list[ResourceLink], depth: int) -> Any:
-        if isinstance(value, bytes | bytearray | memoryview):
+        if _is_octets(value):
             link = self.keep("application/octet-stream", bytes(value))
             links.append(link)
             return {"octets": len(value), "link": link.uri}
@@ -126,6 +126,8 @@ class KeptValues:
 
     def _of_list(self, value: Message, links: list[ResourceLink], depth: int) -> Any:
         shape = list(getattr(value, "shape", ()))
+        if getattr(value, "size", 0) > _LONG_LIST and value.dtype.kind in "iuf":
+            return _of_array(value)
         values: Sequence[Any] = value if isinstance(value, list | tuple) else _flat(value)
         if len(values) <= _LONG_LIST and depth and not shape[1:]:
             return [self._summary(part, links, depth - 1) for part in values]
@@ -146,6 +148,30 @@ class KeptValues:
         return summary | {"first": first}
 
 
+def _of_array(value: Any) -> dict[str, Any]:
+    """Return the summary of numbers in an array, of which no list is made: it may be a map."""
+    import numpy as np  # noqa: PLC0415 - an optional package, which is there where an array is
+
+    flat = value.reshape(-1)
+    summary: dict[str, Any] = {"length": flat.size, "shape": list(value.shape)}
+    finite = flat[np.isfinite(flat)] if value.dtype.kind == "f" else flat
+    if finite.size:
+        with np.errstate(over="ignore"):
+            mean = finite.mean(dtype=float).item()
+        least, greatest = finite.min().item(), finite.max().item()
+        summary |= {"least": _as_text(least), "greatest": _as_text(greatest)}
+        if np.isfinite(mean):
+            summary["mean"] = mean
+    return summary | {"first": _as_text(flat[:_SHOWN].tolist())}
+
+
+def _is_octets(value: Message) -> bool:
+    """Say whether a value is octets, as a row of `uint8` is in every form of a message."""
+    return isinstance(value, bytes | bytearray | memoryview) or (
+        getattr(value, "dtype", None) == "uint8" and value.ndim == 1
+    )
+
+
 def _as_text(value: Message) -> Any:
     """Return numbers as they are in JSON text, where not every one is a number."""
     return orjson.loads(TEXT_FORM.write(value))
@@ -159,7 +185,7 @@ def _flat(value: Message) -> list[Any]:
 
 
 def _find_octets(value: Message, found: list[bytes], depth: int) -> None:
-    if isinstance(value, bytes | bytearray | memoryview):
+    if _is_octets(value):
         found.append(bytes(value[: _SHORT_OCTETS + 1]))
     elif isinstance(value, Mapping) and depth:
         for part in value.values():
@@ -171,9 +197,8 @@ def _find_octets(value: Message, found: list[bytes], depth: int) -> None:
 
 def is_picture(message: Message) -> bool:
     """Say whether a message is a picture, packed or not."""
-    return isinstance(message, Mapping) and isinstance(
-        message.get("data"), bytes | bytearray | memoryview
-    )
+    data = message.get("data") if isinstance(message, Mapping) else None
+    return _is_octets(data) or getattr(data, "dtype", None) == "uint8"
 
 
 def picture_of(message: Message) -> ImageContent:
