@@ -229,9 +229,8 @@ def test_what_is_used_no_more_is_closed_and_ended_with_the_rights(
 def test_one_agent_does_not_take_the_sessions_of_all(
     agents: Agents, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uoarm_mcp._http._MOST_SESSIONS", 1)
-    agents.client("agent", "legacy")
-    body = {
+    monkeypatch.setattr("uoarm_mcp._http._MOST_SESSIONS", 2)
+    opening = {
         "jsonrpc": "2.0",
         "id": 1,
         "method": "initialize",
@@ -245,10 +244,27 @@ def test_one_agent_does_not_take_the_sessions_of_all(
         "Authorization": f"Bearer {TOKENS['agent']}",
         "Accept": "application/json, text/event-stream",
     }
-    refused = httpx2.post(agents.url, json=body, headers=headers, timeout=patience())
-    assert refused.status_code == 503
-    other = agents.client("other", "legacy")
-    assert agents.run(other.call_tool("add", {"a": 1, "b": 2})).is_error is False
+
+    def post(body: dict[str, Any], **more: str) -> httpx2.Response:
+        return httpx2.post(agents.url, json=body, headers=headers | more, timeout=patience())
+
+    def opened() -> dict[str, str]:
+        session = post(opening).headers["mcp-session-id"]
+        return {"mcp-session-id": session, "mcp-protocol-version": "2025-11-25"}
+
+    ping = {"jsonrpc": "2.0", "id": 2, "method": "ping"}
+    first, second = opened(), opened()
+    assert post(ping, **first).status_code == 200
+    third = opened()
+    assert [post(ping, **known).status_code for known in (first, second, third)] == [200, 404, 200]
+    with (
+        httpx2.stream("GET", agents.url, headers=headers | first, timeout=patience()),
+        httpx2.stream("GET", agents.url, headers=headers | third, timeout=patience()),
+    ):
+        assert post(opening).status_code == 503, "both are in use"
+        other = agents.client("other", "legacy")
+        assert agents.run(other.call_tool("add", {"a": 1, "b": 2})).is_error is False
+    wait(lambda: post(opening).status_code == 200, "a session whose client has gone makes room")
 
 
 @pytest.mark.filterwarnings("ignore::mcp.shared.exceptions.MCPDeprecationWarning")

@@ -12,7 +12,10 @@ import uvicorn
 from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
 from mcp.server.auth.provider import AccessToken
 from mcp.server.lowlevel import Server
+from mcp.server.streamable_http import MCP_SESSION_ID_HEADER
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
+from mcp.shared.inbound import MCP_PROTOCOL_VERSION_HEADER
+from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from uoarm.errors import ControlMessageError
@@ -29,6 +32,10 @@ _IDLE_SECONDS = 600.0
 _KEPT_SECONDS = 60
 _HEAD_OCTETS = 65_536
 _MOST_AHEAD = 16
+_WELL = 200
+_SESSION = MCP_SESSION_ID_HEADER.encode()
+_REVISION = MCP_PROTOCOL_VERSION_HEADER.encode()
+_WITH_SESSIONS = frozenset(revision.encode() for revision in HANDSHAKE_PROTOCOL_VERSIONS)
 
 _Scope = MutableMapping[str, Any]
 _Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -72,7 +79,8 @@ async def serve_http(place: HttpPlace, version: str) -> None:
 class GuestSessions:
     """The sessions of earlier revisions, of each client its own, so that no one takes all of them.
 
-    They end with the client's rights.
+    They end with the client's rights. A client that goes away without ending its own may come back
+    as often as it likes: the one that was used least recently makes room, unless all are in use.
 
     Args:
         protocol: what they speak.
@@ -80,13 +88,45 @@ class GuestSessions:
 
     def __init__(self, protocol: Server[Any]) -> None:
         self._protocol = protocol
+        # Requests under way by session, the one that was used last at the end.
+        self._used: dict[StatelessClient, dict[bytes, int]] = {}
         self._managers: dict[StatelessClient, asyncio.Future[StreamableHTTPSessionManager]] = {}
         self._running: dict[StatelessClient, asyncio.Task[None]] = {}
 
-    async def of(self, client: StatelessClient) -> StreamableHTTPSessionManager:
-        """Return what answers a client."""
+    async def answer(
+        self, client: StatelessClient, scope: _Scope, receive: _Receive, send: _Send
+    ) -> None:
+        """Answer one request of a client."""
+        manager, used = await self._of(client), self._used[client]
+        headers = dict(scope["headers"])
+        session, revision = headers.get(_SESSION), headers.get(_REVISION)
+        if session is None and (revision is None or revision in _WITH_SESSIONS):
+            idle = next((known for known, requests in used.items() if not requests), None)
+            if len(used) >= _MOST_SESSIONS and idle is not None:
+                await _end_session(manager, scope, idle)
+                del used[idle]
+        elif session in used:
+            used[session] = used.pop(session) + 1
+
+        async def noting(message: MutableMapping[str, Any]) -> None:
+            if message["type"] == "http.response.start":
+                begun = dict(message["headers"]).get(_SESSION)
+                if session is None and begun is not None and message["status"] == _WELL:
+                    used[begun] = 0
+            await send(message)
+
+        try:
+            await manager.handle_request(scope, receive, noting)
+        finally:
+            if session in used:
+                used[session] -= 1
+                if scope["method"] == "DELETE":
+                    del used[session]
+
+    async def _of(self, client: StatelessClient) -> StreamableHTTPSessionManager:
         if client not in self._managers:
             self._managers[client] = asyncio.get_running_loop().create_future()
+            self._used[client] = {}
             self._running[client] = asyncio.ensure_future(self._run(client))
             client.on_end(lambda: self._end(client))
         return await asyncio.shield(self._managers[client])
@@ -113,8 +153,24 @@ class GuestSessions:
 
     def _end(self, client: StatelessClient) -> None:
         self._managers.pop(client, None)
+        self._used.pop(client, None)
         if client in self._running:
             self._running.pop(client).cancel()
+
+
+async def _end_session(
+    manager: StreamableHTTPSessionManager, scope: _Scope, session: bytes
+) -> None:
+    """End a session as its client does, since the SDK has no other way that is public."""
+
+    async def receive() -> MutableMapping[str, Any]:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    async def send(_: MutableMapping[str, Any]) -> None:
+        """Let no one have the answer."""
+
+    ending = {**scope, "method": "DELETE", "headers": [(_SESSION, session)]}
+    await manager.handle_request(ending, receive, send)
 
 
 class AdmittingApp:
@@ -183,9 +239,10 @@ class AdmittingApp:
             await self._service.prepare(client)
         token = AccessToken(token="-", client_id=client.identity, scopes=[])  # noqa: S106
         admitted = {**scope, CLIENT: client, "user": AuthenticatedUser(token)}
-        sessions = await self._sessions.of(client)
         # What lasts, as a stream of notices, ends with the client's rights.
-        task = asyncio.ensure_future(sessions.handle_request(admitted, _again(body, receive), send))
+        task = asyncio.ensure_future(
+            self._sessions.answer(client, admitted, _again(body, receive), send)
+        )
         if client not in self._under_way:
             self._under_way[client] = set()
             client.on_end(lambda: self._end(client))
