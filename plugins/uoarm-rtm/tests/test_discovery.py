@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from uoarm_rtm._discovery import DirectoryEntry, DirectoryMonitor
 from uoarm_rtm._naming import Name, NamingService, corbaloc
 from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb
-from uoarm_rtm._watch import Check
+from uoarm_rtm._watch import Check, Ticker
 from uoarm_rtm.component import ComponentProfile, RtComponent, Types
 from uoarm_rtm.nameserver import NameServer
 
@@ -43,45 +44,99 @@ class Listed:
     def __init__(self) -> None:
         self.name: Name | None = Name("A.rtc", self)
         self.condition = "alive"
+        self.gone: tuple[str, ...] = ()
+        self.looks = 0
+        self.answers = threading.Event()  # whether the first naming service does
+        self.answers.set()
 
     def _is_equivalent(self, other: object) -> bool:
         return self is other
 
-    def names(self) -> dict[str, Name]:
-        return {} if self.name is None else {self.name.path: self.name}
+    @property
+    def services(self) -> tuple[Any, ...]:
+        return ("first", "second")
+
+    def names_in(self, service: str) -> dict[str, Name]:
+        if service == "first":
+            assert self.answers.wait(patience())
+        if service in self.gone:
+            raise BridgeError(f"{service} is gone")
+        return {} if self.name is None or service == "first" else {self.name.path: self.name}
 
     def look(self, name: Name) -> DirectoryEntry:
+        self.looks += 1
         return DirectoryEntry(name.path, name.reference, self.condition)
+
+
+class Watching:
+    """A monitor of what is listed, and what it reports."""
+
+    def __init__(self, listed: Listed) -> None:
+        self.reports: list[tuple[Health, str]] = []
+        self._follows: list[Check] = []
+        directory: Any = listed
+        self.monitor = DirectoryMonitor(directory, self._report, "Own.rtc", self._follows.append)
+
+    def _report(self, health: Health, cause: str, **_: Any) -> None:
+        self.reports.append((health, cause))
+
+    def play(self, checks: Sequence[Check]) -> None:
+        for check in checks:
+            check()
+            while self._follows:
+                self._follows.pop()()
 
 
 @pytest.mark.parametrize("leaves", [True, False])
 def test_one_that_leaves_between_two_checks_has_not_died(leaves: bool) -> None:
-    listed, follows = Listed(), list[Check]()
-    reports: list[tuple[Health, str]] = []
-
-    def report(health: Health, cause: str, **_: Any) -> None:
-        reports.append((health, cause))
-
-    directory: Any = listed
-    monitor = DirectoryMonitor(directory, report, "Own.rtc", follows.append)
-
-    def play(checks: list[Check]) -> None:
-        for check in checks:
-            check()
-            while follows:
-                follows.pop()()
-
-    play(monitor.checks())
-    play(monitor.checks())
-    round_of_checks = monitor.checks()
-    play(round_of_checks[:1])
+    listed = Listed()
+    watching = Watching(listed)
+    watching.play(watching.monitor.checks())
+    watching.play(watching.monitor.checks())
+    round_of_checks = watching.monitor.checks()
+    watching.play(round_of_checks[:2])
     listed.condition = "dead"
     if leaves:
         listed.name = None
-    play(round_of_checks[1:])
-    play(monitor.checks())
+    watching.play(round_of_checks[2:])
+    watching.play(watching.monitor.checks())
     end = "left" if leaves else "died: only its name is left"
-    assert reports == [(Health.LOST, f"component A.rtc {end}")]
+    assert watching.reports == [(Health.LOST, f"component A.rtc {end}")]
+
+
+def test_a_naming_service_that_is_gone_says_nothing_of_its_components() -> None:
+    listed = Listed()
+    watching = Watching(listed)
+    watching.play(watching.monitor.checks())
+    listed.gone = ("second",)
+    watching.play(watching.monitor.checks())
+    assert not watching.reports
+    listed.gone = ("first", "second")
+    watching.play(watching.monitor.checks())
+    listed.gone = ("first",)
+    watching.play(watching.monitor.checks())
+    assert watching.reports == [
+        (Health.DEGRADED, "first is gone"),
+        (Health.OK, "a naming service answers again"),
+    ]
+    listed.condition = "dead"
+    watching.play(watching.monitor.checks())
+    assert watching.reports[2:] == [(Health.LOST, "component A.rtc died: only its name is left")]
+
+
+def test_a_naming_service_that_hangs_holds_up_no_other() -> None:
+    listed = Listed()
+    listed.answers.clear()
+    watching = Watching(listed)
+    ticker = Ticker(watching.monitor.checks, 0.01)
+    ticker.start()
+    try:
+        wait(lambda: listed.looks, "A.rtc is not looked at")
+        listed.name = None
+        wait(lambda: watching.reports == [(Health.LOST, "component A.rtc left")])
+    finally:
+        listed.answers.set()
+        ticker.close(patience())
 
 
 def test_components_are_discovered_with_ports_types_and_state(

@@ -10,11 +10,12 @@ from __future__ import annotations
 import contextlib
 import difflib
 import threading
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeVar
 
-from attrs import define, frozen
+from attrs import define, field, frozen
 from omniORB import CORBA
 
 from uoarm.bridge import Description, Discovered
@@ -27,6 +28,9 @@ from uoarm_rtm._peer import PeerComponent, PeerPort, contexts_of, peer_at, state
 from uoarm_rtm._services import described
 from uoarm_rtm._types import Types
 from uoarm_rtm._watch import Check
+
+T = TypeVar("T")
+Answer = TypeVar("Answer")
 
 _AT_ONCE = 8
 _SUFFIX = ".rtc"
@@ -50,7 +54,7 @@ class Directory:
     """
 
     def __init__(self, services: Sequence[NamingService], seconds: float) -> None:
-        self._services = services
+        self.services = services
         self._seconds = seconds
 
     def peer(self, path: str) -> PeerComponent:
@@ -62,7 +66,7 @@ class Directory:
             BridgeTimeoutError: it hangs.
         """
         failures = []
-        for service in self._services:
+        for service in self.services:
             try:
                 reference = service.resolve(path)
             except BridgeError as error:
@@ -72,7 +76,7 @@ class Directory:
                 continue
             if reference is not None:
                 return peer_at(path, reference, self._seconds)
-        if len(failures) == len(self._services):
+        if len(failures) == len(self.services):
             raise failures[0]
         return self._below(path)
 
@@ -82,18 +86,39 @@ class Directory:
         Raises:
             BridgeError: no naming service answers.
         """
-        names: dict[str, Name] = {}
-        failures = []
-        for service in self._services:
-            try:
-                for name in service.names():
-                    if name.path.endswith(_SUFFIX):
-                        names.setdefault(name.path, name)
-            except BridgeError as error:
-                failures.append(error)
-        if len(failures) == len(self._services):
+        answers = self._at_once(self._asked, self.services)
+        failures = [answer for answer in answers if isinstance(answer, BridgeError)]
+        if len(failures) == len(self.services):
             raise failures[0]
+        names: dict[str, Name] = {}
+        for answer in answers:
+            if not isinstance(answer, BridgeError):
+                names = {**answer, **names}
         return names
+
+    def names_in(self, service: NamingService) -> dict[str, Name]:
+        """Return the name of every component in a naming service by its path.
+
+        Raises:
+            BridgeError: it does not answer.
+        """
+        return {name.path: name for name in service.names() if name.path.endswith(_SUFFIX)}
+
+    def _asked(self, service: NamingService) -> dict[str, Name] | BridgeError:
+        try:
+            return self.names_in(service)
+        except BridgeError as error:
+            return error
+
+    def _at_once(self, ask: Callable[[T], Answer], asked: Collection[T]) -> tuple[Answer, ...]:
+        """Ask several: one that hangs holds up no other."""
+        if len(asked) < 2:  # noqa: PLR2004
+            return tuple(map(ask, asked))
+        try:
+            with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-look") as pool:
+                return tuple(pool.map(ask, asked))
+        except RuntimeError as error:  # no thread can begin any more
+            raise BridgeError("this process is ending", FailureReason.CLOSED) from error
 
     def entries(self) -> tuple[DirectoryEntry, ...]:
         """Return every component's name, with its condition; silent services are left out.
@@ -101,14 +126,7 @@ class Directory:
         Raises:
             BridgeError: no naming service answers.
         """
-        names = self.names()
-        if not names:
-            return ()
-        try:
-            with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-look") as pool:
-                return tuple(pool.map(self.look, names.values()))
-        except RuntimeError as error:  # no thread can begin any more
-            raise BridgeError("this process is ending", FailureReason.CLOSED) from error
+        return self._at_once(self.look, self.names().values())
 
     def peers(self) -> tuple[tuple[PeerComponent, ...], tuple[tuple[str, str], ...]]:
         """Return the components that answer, and (path, what is wrong) of those that do not."""
@@ -150,7 +168,7 @@ class Directory:
         alive = [entry for entry in seen if entry.condition == "alive"]
         if len(alive) == 1:
             return peer_at(alive[0].path, alive[0].reference, self._seconds)
-        where = ", ".join(service.address for service in self._services)
+        where = ", ".join(service.address for service in self.services)
         if alive:
             paths = ", ".join(entry.path for entry in alive)
             text = f"component {path!r} is there several times: {paths}; give one whole path"
@@ -252,8 +270,9 @@ class _WatchedName:
         owner: whose it is.
         name: with the reference.
         is_known: whether it was there from the beginning, which is no news.
-        is_dead: nothing was behind it at the last look. One that leaves ends its name before
-            itself: that it died is reported when the name is still there after that.
+        is_dead: nothing was behind it at the last look.
+        unconfirmed: naming services to be read before it counts as dead. One that leaves ends its
+            name before itself: that it died is reported when the name is still there after that.
     """
 
     owner: DirectoryMonitor
@@ -261,10 +280,32 @@ class _WatchedName:
     is_known: bool
     condition: str | None = None
     is_dead: bool = False
+    unconfirmed: set[_WatchedService] = field(factory=set)
 
     def check(self) -> None:
         """Look at what is behind it, and report what has changed."""
         self.owner.look(self)
+
+
+@define(eq=False)
+class _WatchedService:
+    """A naming service, and what it says; one that hangs holds up no other.
+
+    Attributes:
+        owner: whose it is.
+        service: that is asked.
+        names: that it gave last; None: it was not asked yet.
+        failure: why it does not answer, "" where it does.
+    """
+
+    owner: DirectoryMonitor
+    service: NamingService
+    names: Mapping[str, Name] | None = None
+    failure: str = ""
+
+    def check(self) -> None:
+        """Read its names, and report what has changed."""
+        self.owner.read(self)
 
 
 class DirectoryMonitor:
@@ -288,55 +329,78 @@ class DirectoryMonitor:
         self._report = report
         self._own = own
         self._follow = follow
-        # Guards the names and their conditions, from checks in other threads. Never held while a
-        # component is called, nor while something is reported.
+        self._services = [_WatchedService(self, service) for service in directory.services]
+        # Guards all below, the names of each service, and the conditions of names, from checks in
+        # other threads. Never held while a component is called, nor while something is reported:
+        # one thread at a time reports, so that nothing is overtaken by what was true before it.
         self._guard = threading.Lock()
         self._names: dict[str, _WatchedName] | None = None
-        self._is_unreachable = False
+        self._is_unreachable = self._is_reporting = False
+        self._waiting: deque[tuple[Health, str, str]] = deque()
 
     def checks(self) -> list[Check]:
-        """Return the checks of a round: the list of names, and each name that is known."""
+        """Return the checks of a round: each naming service, and each name that is known."""
         with self._guard:
-            return [self.tick, *[watched.check for watched in (self._names or {}).values()]]
+            names = [watched.check for watched in (self._names or {}).values()]
+        return [*[watched.check for watched in self._services], *names]
 
-    def tick(self) -> None:
-        """Read the names; what is new is looked at next, and what was there and has left reported.
+    def read(self, watched: _WatchedService) -> None:
+        """Read the names in a naming service; what is new is looked at next.
 
-        The first time nothing is reported.
+        What was there and has left is reported; the first time nothing is.
         """
         with self._guard:  # those that were dead before the names are read
-            doubtful = [watched for watched in (self._names or {}).values() if watched.is_dead]
+            every = (self._names or {}).values()
+            doubtful = [known for known in every if watched in known.unconfirmed]
+        failure = ""
         try:
-            names = self._directory.names()
+            names: Mapping[str, Name] = self._directory.names_in(watched.service)
         except BridgeError as error:
             # A naming service that is gone says nothing of the components.
-            if not self._is_unreachable:
-                self._is_unreachable = True
-                self._report(Health.DEGRADED, str(error))
-            return
-        if self._is_unreachable:
-            self._is_unreachable = False
-            self._report(Health.OK, "a naming service answers again")
-        names.pop(self._own, None)
+            failure, names = str(error), watched.names or {}
         with self._guard:
-            before, self._names = self._names, {}
-            for path, name in names.items():
-                self._names[path] = self._watched(name, before)
-            fresh = [watched for watched in self._names.values() if watched.condition is None]
-            left = sorted((before or {}).keys() - names.keys())
-            changes: list[tuple[str, str | None, str | None]] = [
-                (path, (before or {})[path].condition, None) for path in left
-            ]
-            for watched in doubtful:
-                path, was = watched.name.path, watched.condition
-                if watched.is_dead and self._names.get(path) is watched:
-                    watched.condition = "dead"
-                    changes.append((path, was, "dead"))
-        for watched in fresh:
-            self._follow(watched.check)
-        for path, was, is_now in changes:
-            if was != is_now:
-                self._report_change(path, was, is_now)
+            is_first, watched.names, watched.failure = watched.names is None, names, failure
+            self._judge_services(failure)
+            fresh, changes = self._compare(is_known=is_first)
+            for known in doubtful:
+                known.unconfirmed.discard(watched)
+                if known.is_dead and not known.unconfirmed:
+                    path, was = known.name.path, known.condition
+                    if (self._names or {}).get(path) is known:
+                        known.condition = "dead"
+                        changes.append((path, was, "dead"))
+            for path, was, is_now in changes:
+                if was != is_now:
+                    self._note_change(path, was, is_now)
+        for known in fresh:
+            self._follow(known.check)
+        self._say()
+
+    def _judge_services(self, failure: str) -> None:
+        """Note that no naming service answers, or that one does again."""
+        is_unreachable = all(watched.failure for watched in self._services)
+        if is_unreachable and not self._is_unreachable:
+            self._waiting.append((Health.DEGRADED, failure, ""))
+        elif self._is_unreachable and not is_unreachable:
+            self._waiting.append((Health.OK, "a naming service answers again", ""))
+        self._is_unreachable = is_unreachable
+
+    def _compare(
+        self, *, is_known: bool
+    ) -> tuple[list[_WatchedName], list[tuple[str, str | None, str | None]]]:
+        """Take the names of all services; return those to be looked at, and what has left."""
+        names: dict[str, Name] = {}
+        for service in self._services:
+            names = {**(service.names or {}), **names}
+        names.pop(self._own, None)
+        before = self._names or {}
+        self._names = {
+            path: self._watched(name, before.get(path), is_known=is_known)
+            for path, name in names.items()
+        }
+        fresh = [watched for watched in self._names.values() if watched.condition is None]
+        left = sorted(before.keys() - names.keys())
+        return fresh, [(path, before[path].condition, None) for path in left]
 
     def look(self, watched: _WatchedName) -> None:
         """Find out what is behind a name now, and report it where that has changed."""
@@ -346,30 +410,48 @@ class DirectoryMonitor:
             if (self._names or {}).get(path) is not watched:
                 return  # it has left, or is another component's now
             was, watched.is_dead = watched.condition, is_now == "dead"
-            is_doubtful = watched.is_dead and was in {"alive", "hung"}
-            if not is_doubtful:
+            watched.unconfirmed.clear()
+            if watched.is_dead and was in {"alive", "hung"}:
+                holding = (service for service in self._services if path in (service.names or {}))
+                watched.unconfirmed.update(holding)
+            else:
                 watched.condition = is_now
-        if is_doubtful:
-            self._follow(self.tick)
-        elif was != is_now and not (was is None and watched.is_known):
-            self._report_change(path, was, is_now)
+                if was != is_now and not (was is None and watched.is_known):
+                    self._note_change(path, was, is_now)
+            unconfirmed = tuple(watched.unconfirmed)
+        for service in unconfirmed:
+            self._follow(service.check)
+        self._say()
 
-    def _watched(self, name: Name, before: dict[str, _WatchedName] | None) -> _WatchedName:
+    def _watched(self, name: Name, known: _WatchedName | None, *, is_known: bool) -> _WatchedName:
         """Return the entry of a name; another one where it stands for another component now."""
-        known = None if before is None else before.get(name.path)
         if known is None:
-            return _WatchedName(self, name, is_known=before is None)
+            return _WatchedName(self, name, is_known)
         if known.name.reference._is_equivalent(name.reference):
             return known
         return _WatchedName(self, name, known.is_known, known.condition)
 
-    def _report_change(self, path: str, was: str | None, is_now: str | None) -> None:
+    def _note_change(self, path: str, was: str | None, is_now: str | None) -> None:
         if is_now == "alive":
             word = "answers again" if was == "hung" else "appeared"
-            self._report(Health.OK, f"component {path} {word}", component=path)
+            self._waiting.append((Health.OK, f"component {path} {word}", path))
         elif is_now == "hung":
             text = f"component {path} does not answer: it hangs"
-            self._report(Health.LOST, text, component=path)
+            self._waiting.append((Health.LOST, text, path))
         elif was in {"alive", "hung"}:
             end = "left" if is_now is None else "died: only its name is left"
-            self._report(Health.LOST, f"component {path} {end}", component=path)
+            self._waiting.append((Health.LOST, f"component {path} {end}", path))
+
+    def _say(self) -> None:
+        """Report what waits, in its order."""
+        while True:
+            with self._guard:
+                if self._is_reporting or not self._waiting:
+                    return
+                self._is_reporting = True
+                health, cause, component = self._waiting.popleft()
+            try:
+                self._report(health, cause, component=component or None)
+            finally:
+                with self._guard:
+                    self._is_reporting = False
