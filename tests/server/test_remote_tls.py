@@ -161,6 +161,12 @@ def test_options_that_do_nothing_together_are_wrong_usage(
     assert (code, said in text) == (2, True), text
 
 
+@pytest.mark.parametrize("option", [("--refuse",), ("--cause", "not now")])
+def test_what_is_refused_is_named(option: tuple[str, ...]) -> None:
+    code, text = ask("approve", "ws://127.0.0.1:1/", *option)
+    assert (code, "about one APPROVAL" in text) == (2, True), text
+
+
 @pytest.mark.parametrize(
     ("url", "fingerprint", "said"),
     [

@@ -321,6 +321,8 @@ def approve(
     token is of another principal than the one that asked. Exit codes: 0 decided, 4 the server
     cannot be reached or refused.
     """
+    if approval is None and (refuse or cause):
+        raise click.UsageError("--refuse and --cause are about one APPROVAL: name it")
 
     async def act(robot: Any) -> Any:
         waiting = [item for item in await robot.approvals() if item["phase"] == "pending"]
