@@ -16,9 +16,12 @@ from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
+import click
 import pytest
+from opentelemetry.sdk.trace import TracerProvider
 from tests.server.robot import CONFIGURATION
 
+from uoarm.cli._serve import exporting
 from uoarm.client import connect
 from uoarm.testing import patience, wait
 
@@ -219,6 +222,38 @@ def test_a_server_sends_spans_and_figures_to_a_collector(
     finally:
         process.kill()
         process.communicate()
+
+
+def test_a_collector_that_hangs_holds_up_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = threading.Event()
+    gate = threading.Event()
+    end = TracerProvider.shutdown
+
+    def shutdown(provider: TracerProvider) -> None:
+        gate.wait(patience())
+        end(provider)
+        ended.set()
+
+    monkeypatch.setattr(TracerProvider, "shutdown", shutdown)
+    monkeypatch.setattr("opentelemetry.trace.set_tracer_provider", lambda _: None)
+    monkeypatch.setattr("opentelemetry.metrics.set_meter_provider", lambda _: None)
+    monkeypatch.setattr("uoarm.cli._serve._LAST_SECONDS", 0.0)
+    monkeypatch.setenv("OTEL_EXPORTER_OTLP_TIMEOUT", "1")
+    with exporting("http://127.0.0.1:1"):
+        pass
+    try:
+        assert not ended.is_set()
+    finally:
+        gate.set()
+        wait(lambda: all(thread.name != "uoarm-otlp-end" for thread in threading.enumerate()))
+
+
+@pytest.mark.parametrize(
+    "url", ["127.0.0.1:4318", "ftp://x", "http://", "http://x:port", "http://x:0"]
+)
+def test_what_is_no_collector_is_refused(url: str) -> None:
+    with pytest.raises(click.BadParameter, match="expected http://HOST:PORT or "), exporting(url):
+        pytest.fail("it is none")
 
 
 def test_a_collector_that_is_gone_holds_up_nothing(tmp_path: Path) -> None:

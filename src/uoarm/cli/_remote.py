@@ -10,7 +10,6 @@ from collections.abc import Awaitable, Callable, Mapping
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
-from urllib.parse import urlsplit
 
 import click
 from attrs import field, fields_dict, frozen
@@ -19,7 +18,15 @@ from uoarm import errors
 from uoarm._raised import text_of
 from uoarm._support.files import UnreadableFileError, read_text
 from uoarm.cli._output import echo, styled
-from uoarm.cli._shared import BRIDGE, fail, json_option, needing, reporting, takes_configuration
+from uoarm.cli._shared import (
+    BRIDGE,
+    fail,
+    is_address,
+    json_option,
+    needing,
+    reporting,
+    takes_configuration,
+)
 from uoarm.model import write_json
 
 if TYPE_CHECKING:
@@ -30,12 +37,8 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 def _checked_url(_: click.Context, __: click.Parameter, url: str | None) -> str | None:
     """Refuse what is no address of a server before anything is tried."""
-    if url is not None and not url.startswith(("ws://", "wss://")):
+    if url is not None and not is_address(url, ("ws", "wss")):
         raise click.BadParameter(f"expected ws://HOST:PORT/ or wss://HOST:PORT/, got {url!r}")
-    try:
-        urlsplit(url or "").port  # noqa: B018 - looking at it is what refuses it
-    except ValueError as error:
-        raise click.BadParameter(f"{url!r}: {error}") from error
     return url
 
 

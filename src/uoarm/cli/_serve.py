@@ -11,6 +11,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -28,6 +29,7 @@ from uoarm.cli._announce import Announcement
 from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     fail,
+    is_address,
     needing,
     open_robot,
     print_error,
@@ -180,6 +182,9 @@ def serve(
             cannot_listen(error)
 
 
+_LAST_SECONDS = 1.0
+
+
 @contextmanager
 def exporting(url: str | None) -> Iterator[None]:
     """Send the spans and figures of the block to a collector by OTLP over HTTP; None: nowhere.
@@ -190,8 +195,9 @@ def exporting(url: str | None) -> Iterator[None]:
     if url is None:
         yield
         return
-    if not url.startswith(("http://", "https://")):
-        raise click.BadParameter(f"expected http:// or https://, got {url!r}", param_hint="--otlp")
+    if not is_address(url, ("http", "https")):
+        wanted = f"expected http://HOST:PORT or https://HOST:PORT, got {url!r}"
+        raise click.BadParameter(wanted, param_hint="--otlp")
     with reporting(), needing("otlp"):
         from opentelemetry import metrics, trace  # noqa: PLC0415 - of an extra
         from opentelemetry.exporter.otlp.proto.http.metric_exporter import (  # noqa: PLC0415
@@ -210,17 +216,27 @@ def exporting(url: str | None) -> Iterator[None]:
     name = os.environ.get("OTEL_SERVICE_NAME", "uoarm")
     resource = Resource.create({"service.name": name, "service.version": __version__})
     base = url.rstrip("/")
-    spans = TracerProvider(resource=resource)
+    spans = TracerProvider(resource=resource, shutdown_on_exit=False)
     spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter(endpoint=f"{base}/v1/traces")))
     figures = OTLPMetricExporter(endpoint=f"{base}/v1/metrics")
-    meters = MeterProvider([PeriodicExportingMetricReader(figures)], resource=resource)
+    meters = MeterProvider(
+        [PeriodicExportingMetricReader(figures)], resource=resource, shutdown_on_exit=False
+    )
     trace.set_tracer_provider(spans)
     metrics.set_meter_provider(meters)
     try:
         yield
     finally:
-        spans.shutdown()
-        meters.shutdown()
+        # A collector that is away or hangs is tried for ten seconds and more: it holds up no end.
+        closing = [
+            threading.Thread(target=provider.shutdown, name="uoarm-otlp-end", daemon=True)
+            for provider in (spans, meters)
+        ]
+        for thread in closing:
+            thread.start()
+        ends = time.monotonic() + _LAST_SECONDS
+        for thread in closing:
+            thread.join(max(0.0, ends - time.monotonic()))
 
 
 def cannot_listen(error: OSError) -> NoReturn:

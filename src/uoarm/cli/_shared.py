@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, cast
+from urllib.parse import urlsplit
 
 import click
 from click.core import ParameterSource
@@ -243,6 +244,15 @@ def plain(message: Message, most: int | None = None) -> Any:
     from uoarm.model import to_json  # noqa: PLC0415 - when first needed
 
     return to_json(message)
+
+
+def is_address(url: str, schemes: tuple[str, ...]) -> bool:
+    """Say whether text is `SCHEME://HOST`, with a port that can be one if it has any."""
+    try:
+        parts = urlsplit(url)
+        return parts.scheme in schemes and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        return False
 
 
 def fail(
