@@ -25,12 +25,17 @@ class Played:
 
     Args:
         answers: by service of rosapi; one that is a function is called with the arguments.
+
+    Attributes:
+        came: all operations, in their order.
+        sockets: on which something was done beside calls.
     """
 
     def __init__(self, answers: Mapping[str, object]) -> None:
         self.answers = dict(answers)
         self.came: list[Any] = []
         self.sockets: list[ServerConnection] = []
+        self._all: list[ServerConnection] = []
         self._port = 0
         self.start()
 
@@ -49,17 +54,19 @@ class Played:
         """Be away: every connection ends, and nothing listens."""
         self._server.shutdown()
         self._thread.join(patience())
-        for socket in self.sockets:
+        for socket in self._all:
             socket.close()
 
     def say(self, **fields: object) -> None:
-        """Send an operation to the client that connected last."""
+        """Send an operation on the connection that did something beside calls last."""
         self.sockets[-1].send(json.dumps(fields))
 
     def _talk(self, socket: ServerConnection) -> None:
-        self.sockets.append(socket)
+        self._all.append(socket)
         for text in socket:
             fields = json.loads(text)
+            if fields["op"] != "call_service" and socket not in self.sockets:
+                self.sockets.append(socket)
             self.came.append(fields)
             if fields["op"] == "call_service":
                 name = fields["service"].rpartition("/")[2]

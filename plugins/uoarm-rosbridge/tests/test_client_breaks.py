@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from itertools import count
 from typing import Any
 
 import pytest
@@ -11,7 +14,7 @@ from played import LISTEN, STRING, TALK, Played, asked, bridge_to, seen
 from ros import eventually
 
 from uoarm.bridge import Bridge
-from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm.testing import Collector, patience
 
@@ -178,6 +181,79 @@ def test_a_call_that_breaks_fails_at_once_and_is_not_sent_again(played: Played) 
         assert caught.value.reason in {FailureReason.UNAVAILABLE, FailureReason.RAISED}
         calls = [fields for fields in asked(played, "call_service") if fields["service"] == "/set"]
         assert len(calls) == 1
+
+
+@contextmanager
+def hanging(values: object, times: int) -> Iterator[Callable[[object], object]]:
+    """Give an answer that at first does not come, and holds up what comes after its question.
+
+    That is what rosbridge_suite does, with all of a connection, for as long as a node hangs.
+
+    Args:
+        values: that come at once after some `times`.
+        times: how often they do not come until the end.
+    """
+    released, numbers = threading.Event(), count(1)
+
+    def answer(_: object) -> object:
+        if next(numbers) <= times:
+            released.wait()
+        return values
+
+    try:
+        yield answer
+    finally:
+        released.set()
+
+
+def test_a_question_without_an_answer_holds_up_no_message(played: Played) -> None:
+    is_asked = threading.Event()
+    with hanging({"subscribers": []}, times=1000) as answer, bridge_to(played.url) as bridge:
+        sink = bridge.open_sink(LISTEN, structure(bridge, LISTEN))
+
+        def hang(given: object) -> object:
+            is_asked.set()
+            return answer(given)
+
+        played.answers["subscribers"] = hang
+        assert is_asked.wait(patience())
+        sink.send({"data": "Kia ora"})
+        eventually(lambda: asked(played, "publish"), "the message comes")
+
+
+def test_questions_after_one_without_an_answer_are_answered(played: Played) -> None:
+    with hanging({"type": "std_msgs/String"}, times=1) as answer:
+        played.answers["topic_type"] = answer
+        with bridge_to(played.url, wait=0.5) as bridge:
+            with pytest.raises(BridgeTimeoutError, match=r"within 0.5 s: does rosapi still run"):
+                bridge.describe(TALK)
+
+            def passes() -> bool:
+                with suppress(BridgeError):
+                    return bridge.describe(TALK).message is not None
+                return False
+
+            eventually(passes, "another connection is made")
+
+
+def test_calls_after_one_without_a_reply_are_replied_to(played: Played) -> None:
+    details = {"typedefs": [FLAG]}
+    played.answers |= {"service_request_details": details, "service_response_details": details}
+    played.answers["service_type"] = {"type": "std_srvs/SetBool"}
+    service = Endpoint("far", "set", Role.SERVICE, ("/set",))
+    with hanging({"data": True}, times=1) as answer:
+        played.answers["set"] = answer
+        with bridge_to(played.url, wait=0.5) as bridge:
+            with pytest.raises(BridgeTimeoutError, match="no reply within"):
+                bridge.call(service, {"data": True}, timeout=0.5)
+
+            def passes() -> bool:
+                with suppress(BridgeError):
+                    reply = bridge.call(service, {"data": True}, timeout=0.5)
+                    return bool(reply == {"data": True})
+                return False
+
+            eventually(passes, "another connection is made")
 
 
 def test_a_parameter_that_is_gone_is_lost_alone_and_comes_back(played: Played) -> None:

@@ -217,7 +217,9 @@ def shared(lasting: ServedRobot) -> Iterator[Bridge]:
     world = ServerWorld(lasting)
     with shared_host(world.spec()) as made:
         served = world.served()
-        made.call(served.endpoint, served.request)  # connects: the server is in this process
+        # These make each connection: the server is in this process.
+        made.describe(served.endpoint)
+        made.call(served.endpoint, served.request)
         yield made
 
 

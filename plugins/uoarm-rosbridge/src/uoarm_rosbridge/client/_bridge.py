@@ -61,11 +61,14 @@ class RosbridgeBridge(Bridge):
     def __init__(self, name: str, options: ClientOptions) -> None:
         super().__init__(name, options)
         access = renewed(lambda: ServerAccess.of(name, options))
-        self._connection = ServerConnection(name, options, access, self.report)
+        # rosbridge_suite works through what a client sends in order, and waits for each reply, if
+        # need be for ever: calls, and questions of rosapi, have connections of their own, so that
+        # they hold up no message.
+        self._calls, self._questions = (
+            ServerConnection(name, options, access, lambda *_: None) for _ in range(2)
+        )
+        self._connection = ServerConnection(name, options, access, self.report, self._questions)
         self._connection.watchers = (self._changed,)
-        # rosbridge_suite works through what a client sends in order, and waits for each reply: a
-        # call has a connection of its own, so that it holds up no message and no question.
-        self._calls = ServerConnection(name, options, access, lambda *_: None)
         self._types: dict[tuple[str, str], RosType] = {}
         self._kinds: dict[Endpoint, str] = {}
         # Guards the clients of actions of ROS 1, each of which is made once.
@@ -348,8 +351,8 @@ class RosbridgeBridge(Bridge):
         with self._callers_lock:
             for caller in self._callers.values():
                 caller.fail("the bridge was closed")
-        self._calls.close()
-        self._connection.close()
+        for connection in (self._calls, self._questions, self._connection):
+            connection.close()
         self._watch.close()
 
     def _keep(self, channel: C) -> C:
@@ -362,6 +365,8 @@ class RosbridgeBridge(Bridge):
             for caller in tuple(self._callers.values()):
                 caller.fail(cause)
             return
+        for connection in (self._calls, self._questions):
+            connection.hurry()
         self._types.clear()
         self._kinds.clear()
         self._watch.look_anew()

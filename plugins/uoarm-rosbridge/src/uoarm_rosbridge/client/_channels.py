@@ -81,7 +81,7 @@ class TopicSource(Source):
             is_raw = fields["compression"] == "cbor-raw"
             self._read = raw_reader(made, options.budget) if is_raw else reader(made)
             self._is_readable.set()
-            connection.rosapi("get_time")  # operations are worked through in order
+            connection.settle()
         except BaseException:
             self._close()
             raise
@@ -169,7 +169,7 @@ class TopicSink(Sink):
                     "queue_size": port.queue,
                 }
             )
-            connection.rosapi("get_time")  # operations are worked through in order
+            connection.settle()
         except BaseException:
             self._close()
             raise
@@ -191,7 +191,7 @@ class TopicSink(Sink):
     def drain(self, timeout: float) -> bool:
         """Wait until the server has worked through what was sent."""
         try:
-            self._connection.rosapi("get_time", timeout)
+            self._connection.settle(timeout)
         except BridgeError:
             return False
         return True

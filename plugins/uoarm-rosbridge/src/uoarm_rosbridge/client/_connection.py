@@ -36,6 +36,7 @@ _CONNECT_SECONDS = 3.0
 _GOODBYE_SECONDS = 0.5
 _JOIN_SECONDS = 2.0
 _BACKOFF = Backoff(first=0.1, most=5.0)
+_LONGEST_PATIENCE_SECONDS = 60.0
 _QUICKEST_SECONDS = 0.25
 _STEADY_SECONDS = 5.0
 _FINAL = (401, 403)  # answers to the handshake that no other attempt changes
@@ -74,6 +75,7 @@ class ServerConnection:
         options: of the bridge.
         access: reads what the server is shown, for each attempt to connect.
         report: has the health of the connection reported.
+        questions: what asks rosapi; left out: this connection.
 
     Attributes:
         serving: what takes the calls of a service, or the goals of an action, by which and name.
@@ -88,9 +90,11 @@ class ServerConnection:
         options: ClientOptions,
         access: Callable[[], ServerAccess],
         report: Callable[[Health, str], None],
+        questions: ServerConnection | None = None,
     ) -> None:
         self.options = options
         self._read_access, self._access = access, access()
+        self._questions = questions or self
         self.serving: dict[tuple[str, str], Callable[[Fields], None]] = {}
         self.watchers: tuple[Callable[[str], None], ...] = ()
         self.breaks = 0
@@ -103,6 +107,10 @@ class ServerConnection:
         self._thread: threading.Thread | None = None
         self._cause = ""  # why it is not up; empty: not known yet
         self._is_closed = False
+        self._is_hurried = False  # whether the next attempt waits for nothing
+        # Since when a request was answered too late, and none in time; and how long that may last.
+        self._unanswered_since: float | None = None
+        self._patience = options.wait
         self._is_garbled = False  # whether the last frame could not be read
         # Octets of the longest message of this connection, and of those that the server has ended
         # one for: it has no operation that states its limit.
@@ -179,6 +187,7 @@ class ServerConnection:
             BridgeTimeoutError: no answer within `timeout` seconds.
         """
         pending, identity = _Pending(), fields["id"]
+        self._leave_what_is_held_up()
         with self._changed:
             if len(self._pending) >= _MOST_WAITING:
                 raise self._down(f"{_MOST_WAITING} requests wait for an answer already")
@@ -186,6 +195,8 @@ class ServerConnection:
         try:
             self.send(fields)
             if not pending.done.wait(timeout):
+                with self._changed:
+                    self._unanswered_since = self._unanswered_since or time.monotonic()
                 raise BridgeTimeoutError(
                     f"bridge {self._name!r}: {self.options.url}: no answer to {fields['op']} "
                     f"within {timeout:g} s"
@@ -196,6 +207,25 @@ class ServerConnection:
         if pending.answer is None:
             raise self._down(pending.failure)
         return pending.answer
+
+    def hurry(self) -> None:
+        """Have the next attempt to connect made at once, if there is one to come."""
+        with self._changed:
+            if self._socket is None and self._thread is not None:
+                self._is_hurried, self._cause = True, ""
+                self._changed.notify_all()
+
+    def settle(self, within: float | None = None) -> None:
+        """Return when the server has worked through what was sent on this connection.
+
+        It works through that in order, so a question at its end says so; but one that rosapi leaves
+        unanswered holds up all that comes after it. Hence rosapi is first asked elsewhere.
+
+        Raises:
+            BridgeError: as `rosapi`.
+        """
+        self.rosapi("get_time", within)
+        self._ask("get_time", within, {})
 
     def rosapi(self, service: str, within: float | None = None, /, **arguments: str) -> Fields:
         """Call a service of rosapi and return the values of its answer.
@@ -208,12 +238,22 @@ class ServerConnection:
         Raises:
             BridgeError: it is not there, or fails.
         """
+        return self._questions._ask(service, within, arguments)  # noqa: SLF001 - of this class
+
+    def _ask(self, service: str, within: float | None, arguments: Fields) -> Fields:
+        seconds = self.options.wait if within is None else min(self.options.wait, within)
         fields = {
             "op": "call_service", "id": self.new_id("rosapi"), "service": f"/rosapi/{service}",
-            "args": arguments,
+            "args": arguments, "timeout": seconds,
         }  # fmt: skip
-        longest = self.options.wait
-        answer = self.request(fields, longest if within is None else min(longest, within))
+        try:
+            answer = self.request(fields, seconds)
+        except BridgeTimeoutError:
+            text = (
+                f"bridge {self._name!r}: {self.options.url}: no answer of /rosapi/{service} within "
+                f"{seconds:g} s: does rosapi still run there?"
+            )
+            raise BridgeTimeoutError(text) from None
         values = answer.get("values")
         if answer.get("result") is False or not isinstance(values, dict):
             why = str(values)[:300]
@@ -306,6 +346,24 @@ class ServerConnection:
         if thread is not None and thread is not threading.current_thread():
             thread.join(_JOIN_SECONDS)
 
+    def _leave_what_is_held_up(self) -> None:
+        """Begin another connection where a request may hold up all others for ever.
+
+        That of a service that hangs, or whose node died, does in rosbridge_suite.
+        """
+        with self._changed:
+            since, socket = self._unanswered_since, self._socket
+            if socket is None or since is None or self._pending or self._standing:
+                return
+            if time.monotonic() - since < self._patience:
+                return
+            # What it leaves at the server may stay there: so ever more seldom.
+            self._patience = min(2 * self._patience, _LONGEST_PATIENCE_SECONDS)
+            self._unanswered_since, self._socket = None, None
+            self._is_hurried, self._cause = True, ""
+        with suppress(OSError, ConnectionClosed):
+            socket.close()
+
     def _down(self, cause: str) -> BridgeError:
         text = f"bridge {self._name!r}: no connection to {self.options.url}: {cause}"
         return BridgeError(text, FailureReason.UNAVAILABLE)
@@ -332,8 +390,8 @@ class ServerConnection:
             pause, left = _BACKOFF.pause(failed), self._disconnection.left(time.monotonic())
             with self._changed:
                 until = pause if left is None else min(pause, left)
-                if self._changed.wait_for(lambda: self._is_closed, until):
-                    return
+                if self._changed.wait_for(lambda: self._is_closed or self._is_hurried, until):
+                    self._is_hurried, failed = False, 0
 
     def _connect(self) -> ClientConnection:
         options, left = self.options, self._disconnection.left(time.monotonic())
@@ -425,6 +483,7 @@ class ServerConnection:
     def _answer(self, fields: Fields) -> None:
         with self._changed:
             pending = self._pending.get(str(fields.get("id")))
+            self._unanswered_since, self._patience = None, self.options.wait
         if pending is not None:
             pending.answer = fields
             pending.done.set()
@@ -439,7 +498,8 @@ class ServerConnection:
                 socket.close()
 
     def _lose(self, cause: str, *, final: bool = False) -> None:
-        self._set(None, cause)
+        self._unanswered_since = None
+        self._set(None, "" if self._is_hurried else cause)
         self._is_garbled = False
         with self._changed:
             pending = list(self._pending.values())

@@ -158,7 +158,7 @@ class ActionlibCaller:
             for identity, topic, kind_name in self._advertised:
                 fields = {"op": "advertise", "id": identity, "topic": topic, "type": kind_name}
                 connection.stand(fields)
-            connection.rosapi("get_time")  # operations are worked through in order
+            connection.settle()
         except BaseException:
             self.close()
             raise

@@ -76,7 +76,7 @@ class _Served(Channel):
             operation = f"advertise_{self.what}"
             fields = {"op": operation, "id": self._identity, self.what: name, "type": kind}
             connection.stand(fields)
-            connection.rosapi("get_time")  # operations are worked through in order
+            connection.settle()
         except BaseException:
             self._close()
             raise
