@@ -92,7 +92,7 @@ def test_a_file_without_offers_is_no_use(tmp_path: Path) -> None:
     assert "has no `offer:`" in output
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_what_fails_is_printed_once_on_a_terminal_and_ending_it_is_no_failure(
     tmp_path: Path, number: signal.Signals
 ) -> None:

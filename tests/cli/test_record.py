@@ -61,7 +61,7 @@ def test_it_ends_with_its_functions_and_says_what_was_recorded(tmp_path: Path) -
     assert numbers(tmp_path / "run.mcap", "/few") == [0, 1, 2, 3, 4]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_it_and_the_file_is_whole(tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "run.mcap"
     code = "from uoarm.cli import main; main()"

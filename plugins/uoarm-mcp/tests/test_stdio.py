@@ -25,6 +25,7 @@ from mcp.client.stdio import StdioServerParameters, stdio_client
 
 from uoarm.cli import main
 from uoarm.client import connect
+from uoarm.server import fingerprint_of
 from uoarm.testing import patience, wait
 
 FOLDER = Path(__file__).parent
@@ -46,7 +47,7 @@ async def _with(
         transport = stdio_client(parameters, errlog=errors)
         async with Client(transport, mode=mode, read_timeout_seconds=patience()) as client:
             errors.seek(0)
-            found = re.search(r"serving (ws://\S+)", errors.read())
+            found = re.search(r"serving (wss?://\S+)", errors.read())
             assert found is not None
             answer = await act(client, found[1])
     return answer, audit.read_text(encoding="utf-8")
@@ -90,12 +91,12 @@ META = {
 
 @contextmanager
 def started(
-    folder: Path, access: Path, text: str = CONFIGURATION
+    folder: Path, access: Path, text: str = CONFIGURATION, *more: str
 ) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """Start the command, and give its process and the address of its WebSocket server."""
     configuration = folder / "robot.yaml"
     configuration.write_text(text, encoding="utf-8")
-    words = ["mcp", str(configuration), "--port", "0", "--access", str(access)]
+    words = ["mcp", str(configuration), "--port", "0", "--access", str(access), *more]
     environment = {**os.environ, "UOARM_TOKEN": TOKENS["agent"], "PYTHONPATH": str(FOLDER)}
     errors = folder / "errors.txt"
     with (
@@ -113,7 +114,7 @@ def started(
                 lambda: process.poll() is not None or "serving ws" in errors.read_text("utf-8"),
                 "it serves",
             )
-            found = re.search(r"serving (ws://\S+)", errors.read_text("utf-8"))
+            found = re.search(r"serving (wss?://\S+)", errors.read_text("utf-8"))
             assert found is not None
             yield process, found[1]
         finally:
@@ -136,7 +137,7 @@ def answer(process: subprocess.Popen[bytes]) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_it_though_its_input_stays_open(
     tmp_path: Path, access: Path, number: signal.Signals
 ) -> None:
@@ -150,6 +151,18 @@ def test_a_signal_ends_it_though_its_input_stays_open(
     errors = (tmp_path / "errors.txt").read_text("utf-8")
     assert "Traceback" not in errors
     assert "Fatal" not in errors
+
+
+def test_what_clients_of_tls_must_know_is_printed(
+    tmp_path: Path, access: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with started(tmp_path, access, CONFIGURATION, "--tls", "auto") as (_, url):
+        errors = tmp_path / "errors.txt"
+        path = tmp_path / "uoarm" / "tls" / "server.pem"
+        said = f"certificate {path}, SHA-256 {fingerprint_of(path)}\n"
+        wait(lambda: said in errors.read_text("utf-8"), "the fingerprint is printed")
+    assert url.startswith("wss://")
 
 
 def test_the_end_of_its_input_ends_it(tmp_path: Path, access: Path) -> None:

@@ -21,6 +21,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from uoarm import errors
+from uoarm._forks import default_in_children
 from uoarm.cli._output import echo, output, styled
 
 if TYPE_CHECKING:
@@ -139,6 +140,7 @@ every_option = click.option(
 def terminable(context: click.Context) -> None:
     """Have SIGTERM end whatever command runs as Ctrl-C does: what is open is closed first.
 
+    So does SIGHUP, as when a terminal or its network is gone: nothing must be left moving then.
     Commands that serve have handlers of their own. A second signal ends the process at once.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -152,6 +154,12 @@ def terminable(context: click.Context) -> None:
 
     signal.signal(signal.SIGTERM, end)
     context.call_on_close(lambda: signal.signal(signal.SIGTERM, signal.SIG_DFL))
+    hangup = getattr(signal, "SIGHUP", None)  # not on every system
+    if hangup is None or signal.getsignal(hangup) is not signal.SIG_DFL:  # as of `nohup`
+        return
+    signal.signal(hangup, lambda *_: signal.raise_signal(signal.SIGTERM))
+    default_in_children([hangup])
+    context.call_on_close(lambda: signal.signal(hangup, signal.SIG_DFL))
 
 
 def exit_code_of(error: errors.UoarmError) -> int:

@@ -28,7 +28,7 @@ from uoarm import RobotManager
 from uoarm.errors import CommandLineError, ControlMessageError
 from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.plugins import Command, CommandParser, hookimpl
-from uoarm.server import Limits, Server, ServerOptions, run
+from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run
 from uoarm.server.front_end import Discoveries, RefusedError
 from uoarm_mcp._service import AgentService
 
@@ -128,6 +128,11 @@ def _say(server: Server, options: ServerOptions) -> None:
     sys.stderr.write(f"serving ws{s}://{places[0]}/\n")
     for place in places[1:]:
         sys.stderr.write(f"serving http{s}://{place}/mcp for agents\n")
+    certificate = options.certificate_file()
+    if certificate is not None:
+        sys.stderr.write(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}\n")
+    elif not options.local:
+        sys.stderr.write("warning: without TLS, tokens and data can be read on the network\n")
     if options.access is None:
         sys.stderr.write("without an access file nothing that moves can be approved\n")
     sys.stderr.flush()
