@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from uoarm._dataplane import MessageCheck, Outlet, Route
-from uoarm.errors import MessageError
+from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, OverflowPolicy, QueuePolicy
 from uoarm.testing import patience
 
@@ -53,14 +53,17 @@ def test_a_traceback_is_logged_only_where_a_program_went_wrong(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     misfit, wrapped = MessageError("the field 'a' is missing"), MessageError("no image")
+    away = BridgeError("no connection to the broker", FailureReason.UNAVAILABLE)
+    failed = BridgeError("the component raised", FailureReason.RAISED)
     wrapped.__cause__ = ValueError("truncated")
-    for raised in (misfit, wrapped, RuntimeError("a mistake")):
+    away.__cause__ = ConnectionResetError()
+    for raised in (misfit, away, wrapped, failed, RuntimeError("a mistake")):
 
         def refuse(_: Message, raised: Exception = raised) -> None:
             raise raised
 
         Route("a", "b", refuse, clock=Clock()).deliver(7)
-    assert [bool(record.exc_info) for record in caplog.records] == [False, True, True]
+    assert [bool(record.exc_info) for record in caplog.records] == [False, False, True, True, True]
 
 
 def test_an_invalid_message_is_not_forwarded() -> None:

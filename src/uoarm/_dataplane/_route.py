@@ -9,7 +9,7 @@ from collections.abc import Callable
 from uoarm._dataplane._failures import Clock, InputWatch
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
 from uoarm._raised import LimitedLog, contained, is_raised, text_of
-from uoarm.errors import CommandRefusedError, MessageError, UoarmError
+from uoarm.errors import BridgeError, CommandRefusedError, MessageError, UoarmError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
 Judge = Callable[[Message, bool], None]
@@ -375,10 +375,11 @@ class Route:
         self.refusal = str(error) if isinstance(error, UoarmError) else text
         if self._watch is None or not self._watch.raised(error):
             place = f"{self.producer} -> {self.consumer}"
-            # Where a command is refused, or a message does not match and nothing else caused that,
-            # the text says all: nothing went wrong in a program whose lines one would look for.
-            known = CommandRefusedError, MessageError
-            trace = None if isinstance(error, known) and error.__cause__ is None else error
+            # Where a command is refused, the way is not there, or a message does not match and
+            # nothing else caused that, the text says all: nothing went wrong in a program whose
+            # lines one would look for.
+            is_plain = isinstance(error, BridgeError) or error.__cause__ is None
+            trace = None if is_plain and not is_raised(error) else error
             self._records.write(logging.WARNING, f"{place}: {text}", trace)
         return True
 
