@@ -98,6 +98,18 @@ def test_a_vehicle_with_another_order_is_busy(release: str, is_known: bool) -> N
     assert ends(reports) == [("rejected", "order 'another' is under way")]
 
 
+@BOTH
+def test_an_order_that_is_not_cancelled_yet_keeps_others_away_and_says_why(release: str) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    fleet.goal(goal("a", "b", order="one"), 0.0)
+    fleet.state(state(vehicle), 0.0)
+    assert fleet.cancel("one", 0.0)
+    fleet.unreadable("no number")
+    assert ends(fleet.goal(goal("a", "b", order="two"), 0.0)[1]) == [
+        ("rejected", "order 'one' is being cancelled; a state came that cannot be read: no number")
+    ]
+
+
 def test_a_cancellation_is_finished_however_many_actions_follow_it() -> None:
     vehicle = VehicleState(RELEASES["3.0"], frozenset())
     vehicle.order(Order.of(goal("a", "b"), "one", RELEASES["3.0"], 10).body)

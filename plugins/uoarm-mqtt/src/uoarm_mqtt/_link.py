@@ -39,7 +39,7 @@ _ROOM_FOR_TOPIC = 65_536
 _HEADER = 9  # type, length, packet identifier, length of the topic: at most
 _PROPERTIES = 64  # of a message, about: its content type, its expiry, where the reply goes
 _IN_FLIGHT = 20
-_NO_SUBSCRIBERS = 0x10
+_NO_SUBSCRIBERS, _UNSPECIFIED = 0x10, 0x80
 # What trying again does not change: the credentials, the rights, the identifier, the protocol.
 _FINAL = frozenset({0x82, 0x84, 0x85, 0x86, 0x87, 0x8A, 0x8C, 0x8E, 0x9C, 0x9D})
 
@@ -120,7 +120,8 @@ class _Client(ThreadedClient):
         """Say why the connection broke: paho logs the error, and reports another for all."""
         error = self._broken_by
         why = _say(reason) if error is None else text_of(error)
-        if self.is_answered or isinstance(error, ssl.SSLError):
+        is_ended = error is not None or reason.value == _UNSPECIFIED
+        if self.is_answered or not is_ended or isinstance(error, ssl.SSLError):
             return f"the connection broke: {why}"
         hint = "a certificate of the client (`tls`)" if self._ssl else "TLS (`mqtts://`)"
         return f"it ended before the broker answered: does it ask for {hint}? {why}"

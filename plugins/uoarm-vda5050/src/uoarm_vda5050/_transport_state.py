@@ -258,7 +258,9 @@ class TransportState:
         order = self._order
         assert order is not None, "there is a goal under way"
         if order_id != order.order_id:
-            return _ended(order_id, "rejected", f"order {order.order_id!r} is under way")
+            which = "is being cancelled" if self._cancel_id else "is under way"
+            why = f"order {order.order_id!r} {which}{self.unread_states()}"
+            return _ended(order_id, "rejected", why)
         latest = self._update or order
         if dict(goal) == dict(latest.goal):
             return [Status(order_id, "accepted")] if self.phase is Phase.UNDER_WAY else []
