@@ -38,6 +38,7 @@ def test_names_of_what_is_no_secret(name: str) -> None:
         ("Bearer hush", "Bearer ***"),
         ("run --password=hush --token hush --x 1", "run --password=*** --token *** --x 1"),
         ("API_KEY=hush", "API_KEY=***"),
+        ("ws://there/?token=hu:sh: no one listens", "ws://there/?token=***: no one listens"),
         ("a token is needed", "a token is needed"),
     ],
 )

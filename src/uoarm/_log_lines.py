@@ -24,6 +24,7 @@ _LEVELS = {
 _SECRET = re.compile(
     r"(?i:\bbearer\s+|\b(?:proxy-)?authorization[\"']?\s*[:=]\s*|\b(?:set-)?cookie[\"']?\s*:\s*)"
     r"[^\r\n]+|(?<=\buoarm\.token\.)[^\s,\"']+|(?<=://)[^\s/@]+(?=@)"
+    r"|(?<=[?&]token=)[^\s&#\"']+"
 )
 _HIDDEN = "***"
 

@@ -21,7 +21,7 @@ _ABOUT = re.compile(
 _IN_TEXT = (
     (re.compile(r"(?<=://)[^\s/@]+(?=@)"), HIDDEN),
     (re.compile(r"(?i)\b(bearer\s+)[^\s\"',;]+"), rf"\1{HIDDEN}"),
-    (re.compile(rf"(?i)((?:{_NAMES})\s?=\s?)[^\s&;,\"']+"), rf"\1{HIDDEN}"),
+    (re.compile(rf"(?i)((?:{_NAMES})\s?=\s?)[^\s&;,\"']*[^\s&;,\"':]"), rf"\1{HIDDEN}"),
     (re.compile(rf"(?i)(--[\w-]*(?:{_NAMES})\s+)[^\s\"']+"), rf"\1{HIDDEN}"),
 )
 _OPTION = re.compile(rf"(?i)--[\w-]*(?:{_NAMES})")

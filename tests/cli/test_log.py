@@ -192,6 +192,8 @@ def test_a_record_is_text_that_every_reader_takes() -> None:
         '{"Authorization": "Bearer s3cret"}',
         "connecting to mqtt://user:s3cret@broker:1883",
         "Cookie: session=s3cret",
+        "< GET /metrics?token=s3cret HTTP/1.1",
+        "ws://127.0.0.1:9080/?a=1&token=s3cret&b=2",
     ],
 )
 def test_no_secret_is_written(formatter: logging.Formatter, text: str) -> None:

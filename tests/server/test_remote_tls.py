@@ -84,10 +84,10 @@ console.log(robot.hello.role);
 await robot.close();
 """)
 
-    def run(token: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    def run(token: str, more: str = "", **variables: str) -> subprocess.CompletedProcess[str]:
         flags = ["--experimental-websocket", "--no-warnings"]
         return subprocess.run(
-            ["node", *flags, str(program), url, token, str(patience())],
+            ["node", *flags, str(program), url + more, token, str(patience())],
             env={**os.environ, **variables},
             capture_output=True,
             text=True,
@@ -100,6 +100,7 @@ await robot.close();
     for refused in (run("tablet"), run("other", **trusting)):
         assert refused.returncode == 1
         assert f"{url}: nothing listens there, its certificate is not trusted" in refused.stderr
+    assert f"{url}?token=***: nothing listens there" in run("x", "?token=s3cret").stderr
 
 
 def test_an_authority_is_trusted_and_a_certificate_is_shown(
@@ -159,6 +160,12 @@ def test_options_that_do_nothing_together_are_wrong_usage(
 ) -> None:
     code, text = ask("status", url, *more)
     assert (code, said in text) == (2, True), text
+
+
+@pytest.mark.parametrize("more", [(), ("--json",)])
+def test_an_error_does_not_show_the_token_of_an_address(more: tuple[str, ...]) -> None:
+    code, text = ask("status", "ws://127.0.0.1:1/?token=s3cret", *more)
+    assert (code, "s3cret" in text, "?token=***: nothing listens" in text) == (4, False, True)
 
 
 @pytest.mark.parametrize("option", [("--refuse",), ("--cause", "not now")])

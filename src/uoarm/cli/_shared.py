@@ -22,6 +22,7 @@ from click.shell_completion import CompletionItem
 
 from uoarm import errors
 from uoarm._forks import default_in_children
+from uoarm._secrets import without_secrets
 from uoarm.cli._output import echo, output, styled
 
 if TYPE_CHECKING:
@@ -279,13 +280,17 @@ def fail(
 def print_failure(
     error: Exception | str, error_code: str, *, as_json: bool, **details: object
 ) -> None:
-    """Say on stderr what is wrong; as JSON on stdout, too, in one line."""
+    """Say on stderr what is wrong; as JSON on stdout, too, in one line.
+
+    Without secrets, as a token in an address: what a command prints is often kept.
+    """
     if isinstance(error, errors.UoarmError):
         error_code = error.error_code
+    error = without_secrets(str(error))
     if as_json:
         from uoarm.model import to_json, write_json  # noqa: PLC0415 - when first needed
 
-        report = {**details, "error": str(error), "error_code": error_code}
+        report = {**details, "error": error, "error_code": error_code}
         echo(write_json(to_json(report)))
     print_error(error)
     print_error_code(error_code)

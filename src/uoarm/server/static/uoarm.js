@@ -595,6 +595,8 @@ export async function connect(
   try {
     return await new Robot({ open, form, timeout, resume, reconnect }).start();
   } catch (error) {
-    throw error instanceof UoarmError ? new UoarmError("closed", `${url}: ${error.message}`) : error;
+    if (!(error instanceof UoarmError)) throw error;
+    const shown = String(url).replace(/([?&]token=)[^&#]*/, "$1***");
+    throw new UoarmError("closed", `${shown}: ${error.message}`);
   }
 }
