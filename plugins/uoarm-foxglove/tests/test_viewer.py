@@ -166,8 +166,18 @@ def test_a_service_is_called_and_its_failure_is_the_calls(serve: Serve) -> None:
         assert "a fault of this service" in failure["message"]
         viewer.call("/add", HEADER)
         assert "cannot be read" in viewer.until("serviceCallFailure")["message"]
+        viewer.call("/add", b"{}", "protobuf")
+        assert "'protobuf' is not served" in viewer.until("serviceCallFailure")["message"]
+
+
+def test_a_service_is_called_in_either_encoding_that_the_server_states(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        assert viewer.info["supportedEncodings"] == ["cdr", "json"]
+        viewer.call("/add", b'{"a": 1, "b": 2}', "json")
+        reply = viewer.until(3)
+        assert (reply["encoding"], reply["data"]) == ("json", b'{"data":3}')
         viewer.call("/add", b"{}", "json")
-        assert "expected the encoding cdr" in viewer.until("serviceCallFailure")["message"]
+        assert "expected" in viewer.until("serviceCallFailure")["message"]
 
 
 def test_the_graph_says_who_publishes_subscribes_and_serves(serve: Serve) -> None:

@@ -14,6 +14,7 @@ from uoarm import __version__
 from uoarm.errors import ControlMessageError, UoarmError
 from uoarm.model import BudgetUse
 from uoarm.server.front_end import (
+    TEXT_FORM,
     Backend,
     BusyError,
     Charge,
@@ -372,18 +373,13 @@ class FoxgloveSession:
         """Return the service of a call, for which there is room and a right.
 
         Raises:
-            ControlMessageError: there is no such service, or it has another encoding.
+            ControlMessageError: there is no such service.
             LimitError: too many calls are under way.
             DeniedError: the client may not call it.
         """
         service = self._listing.services.get(request.service)
         if service is None:
             raise ControlMessageError(f"serviceId: there is no {request.service}")
-        if request.encoding != service.request.encoding:
-            raise ControlMessageError(
-                f"{service.function}: expected the encoding {service.request.encoding}, "
-                f"got {request.encoding!r:.60}"
-            )
         if len(self._calls) >= self._client.limits.calls:
             raise LimitError(f"{self._client.limits.calls} calls are under way")
         self._client.require(Operation.CALL, service.function)
@@ -397,11 +393,14 @@ class FoxgloveSession:
                 read_as(request.encoding, self._client.limits.budget),
                 self._client.limits.call_seconds,
             )
-            payload = await self._backend.in_worker(lambda: service.reply.write(reply))
+            encoding, encode = service.reply.encoding, service.reply.write
+            if request.encoding == JSON:
+                encoding, encode = JSON, TEXT_FORM.write
+            payload = await self._backend.in_worker(lambda: encode(reply))
         except Exception as error:  # noqa: BLE001 - answered as the call's
             self._call_failed(request, error)
             return
-        frame = service_response(request, service.reply.encoding, payload)
+        frame = service_response(request, encoding, payload)
         await self._client.outbox.room(len(frame))
         self._client.outbox.reply(frame, text=False)
 
