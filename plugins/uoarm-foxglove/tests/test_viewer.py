@@ -177,7 +177,7 @@ def test_a_service_is_called_in_either_encoding_that_the_server_states(serve: Se
         reply = viewer.until(3)
         assert (reply["encoding"], reply["data"]) == ("json", b'{"data":3}')
         viewer.call("/add", b"{}", "json")
-        assert "expected" in viewer.until("serviceCallFailure")["message"]
+        assert "'a' and 'b' are missing" in viewer.until("serviceCallFailure")["message"]
 
 
 def test_the_graph_says_who_publishes_subscribes_and_serves(serve: Serve) -> None:
