@@ -13,8 +13,10 @@ import httpx2
 import pytest
 from agents import TOKENS, Agents
 from components import script
+from uoarm_mcp._catalogue import Catalogue, CatalogueMaker
 
 from uoarm.server import Limits
+from uoarm.server.front_end import AccessRole
 from uoarm.testing import patience
 
 MISFITS = 10_000 if os.environ.get("HYPOTHESIS_PROFILE") == "long" else 1_000
@@ -151,3 +153,41 @@ def test_an_agent_has_bounds(serve: Any, access: Any) -> None:
 
         assert agents.run(three()).count(True) == 1
         script.gate.set()
+
+
+def test_to_stop_waits_for_nothing(
+    serve: Any, access: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def of(self: CatalogueMaker, role: AccessRole) -> Catalogue:
+        del self, role
+        await asyncio.Event().wait()
+        raise AssertionError("it hangs")
+
+    limits = Limits()
+    object.__setattr__(limits, "calls", 0)  # as though that many were under way
+    server = serve(limits, access=access)
+    monkeypatch.setattr(CatalogueMaker, "of", of)
+    with Agents(server.ports, TOKENS) as agents:
+        body = {
+            "jsonrpc": "2.0",
+            "id": 1,
+            "method": "tools/call",
+            "params": {
+                "name": "stop",
+                "arguments": {},
+                "_meta": {
+                    "io.modelcontextprotocol/protocolVersion": "2026-07-28",
+                    "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
+                    "io.modelcontextprotocol/clientCapabilities": {},
+                },
+            },
+        }
+        headers = {
+            "Authorization": f"Bearer {TOKENS['agent']}",
+            "Accept": "application/json, text/event-stream",
+            "mcp-protocol-version": "2026-07-28",
+            "mcp-method": "tools/call",
+            "mcp-name": "stop",
+        }
+        answer = httpx2.post(agents.url, json=body, headers=headers, timeout=patience())
+        assert answer.json()["result"]["structuredContent"] == {"stopped": [], "cancelled": []}

@@ -25,7 +25,7 @@ from uoarm_mcp._schemas import (
 STREAM = "uoarm://stream/"
 _AT_ONCE = 8
 _FIND_SECONDS = 10.0
-_OWN: Mapping[str, str] = {
+OWN: Mapping[str, str] = {
     "plan": """Say what a request would open and why, or why not, with the counterexample and what
 would fit nearly. With arguments: check them, and ask for the approval that doing it needs; the
 handle is that of the plan, of its approval and of doing it. Nothing is opened or moved.""",
@@ -168,7 +168,7 @@ class CatalogueMaker:
             for made in self._tools(function, self._plans[name]):
                 if not role.allows(made.operation, name):
                     left_out[made.tool.name] = f"the role may not {made.operation.value} {name}"
-                elif made.tool.name in tools or made.tool.name in _OWN:
+                elif made.tool.name in tools or made.tool.name in OWN:
                     left_out[f"{made.tool.name} of {name}"] = "another tool has its name"
                 else:
                     tools[made.tool.name] = made
@@ -232,7 +232,7 @@ class CatalogueMaker:
         name = f"send_{function.name}" if kind is ToolKind.SEND else function.name
         if port and kind is ToolKind.SEND:
             name += f".{port}"
-        if name in _OWN:
+        if name in OWN:
             name = f"call_{name}"
         needs = self._needs(_OPERATIONS[kind], function.name)
         what = _DOES[kind]
@@ -303,7 +303,7 @@ def _described(function: Function, what: str, needs: str) -> str:
 
 def _own_tools(role: AccessRole) -> tuple[Tool, ...]:
     tools = []
-    for name, description in _OWN.items():
+    for name, description in OWN.items():
         if name == "discover" and not role.allows_all(Operation.SEE):
             continue
         hints = ToolAnnotations(

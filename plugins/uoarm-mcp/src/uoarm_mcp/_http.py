@@ -235,8 +235,9 @@ class AdmittingApp:
         if body is None:
             return
         await client.pace(len(body), spending.elements)
-        if (b"mcp-method", b"tools/call") in scope["headers"]:
-            await self._service.prepare(client)
+        headers = dict(scope["headers"])
+        if headers.get(b"mcp-method") == b"tools/call":
+            await self._service.prepare(client, headers.get(b"mcp-name", b"").decode("latin-1"))
         token = AccessToken(token="-", client_id=client.identity, scopes=[])  # noqa: S106
         admitted = {**scope, CLIENT: client, "user": AuthenticatedUser(token)}
         # What lasts, as a stream of notices, ends with the client's rights.

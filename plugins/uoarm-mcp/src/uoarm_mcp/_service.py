@@ -64,7 +64,7 @@ from uoarm.server.front_end import (
     coded_text,
 )
 from uoarm_mcp._actions import AgentActions, AgentGoals
-from uoarm_mcp._catalogue import STREAM, Catalogue, CatalogueMaker, FunctionTool, ToolKind
+from uoarm_mcp._catalogue import OWN, STREAM, Catalogue, CatalogueMaker, FunctionTool, ToolKind
 from uoarm_mcp._robot_tools import RobotTools
 from uoarm_mcp._schemas import APPROVAL, check_schema
 from uoarm_mcp._streams import AgentStreams
@@ -90,6 +90,7 @@ _NOTICE_SECONDS = 0.2
 _MOST_LISTENING = 16
 _MOST_SUBSCRIBED = 64
 _SUBSCRIBES = "uoarm.subscribes"
+_ALWAYS = frozenset({"stop", "cancel"})  # however many calls are under way
 _Context = ServerRequestContext[Any, Any]
 _client: ContextVar[StatelessClient | None] = ContextVar("uoarm_mcp_guest", default=None)
 
@@ -162,11 +163,12 @@ class Agent:
         Raises:
             UnknownError: there is no such tool for this role.
         """
-        catalogue = await self.catalogue()
-        if name not in self._robot_tools and name not in catalogue.tools:
-            known = catalogue.left_out.get(name, "")
-            raise UnknownError(f"there is no tool {name!r:.200}{known and f': {known}'}")
-        if self._under_way >= self.client.limits.calls:
+        if name not in self._robot_tools:  # to stop is not to wait for what a catalogue waits for
+            catalogue = await self.catalogue()
+            if name not in catalogue.tools:
+                known = catalogue.left_out.get(name, "")
+                raise UnknownError(f"there is no tool {name!r:.200}{known and f': {known}'}")
+        if self._under_way >= self.client.limits.calls and name not in _ALWAYS:
             refusal = LimitError(f"{self._under_way} calls are under way; wait for one of them")
             return failed(failure_text(refusal))
         self._under_way += 1
@@ -317,10 +319,11 @@ class AgentService:
             agent.close()
         self._agents.clear()
 
-    async def prepare(self, client: StatelessClient) -> None:
-        """Have ready what a request of a client needs at once; call it in the request's task."""
+    async def prepare(self, client: StatelessClient, tool: str) -> None:
+        """Have ready what a call of a tool needs at once; call it in the request's task."""
         _client.set(client)
-        await self._catalogues.of(client.role)
+        if tool not in OWN:
+            await self._catalogues.of(client.role)
 
     def _headed_schema(self, name: str) -> Mapping[str, Any] | None:
         """Return the schema of a tool whose arguments are repeated in headers; None: they are not.
