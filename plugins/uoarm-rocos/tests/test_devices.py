@@ -167,6 +167,22 @@ def test_a_port_where_nothing_speaks_is_unavailable() -> None:
             bridge.describe(PULSE)
 
 
+def test_octets_of_no_frame_are_named_and_counted_over_connections() -> None:
+    with PseudoTerminal() as device:
+        clip = {"driver": "contec-cms50dplus", "url": device.path, "wait": 0.3}
+        with bridged(clip=clip) as (bridge, _):
+            wait_open(bridge, "clip")
+            clip_device = bridge._named("clip")  # type: ignore[attr-defined]  # of this bridge
+            device.write(bytes(7))
+            wait(lambda: clip_device.facts() == {"discarded": 7})
+            with pytest.raises(BridgeError, match="7 octets came that are no frame: are its"):
+                bridge.describe(PULSE)
+            device.write(contec_frame(spo2=97))
+            source = bridge.open_source(PULSE, ANY, Events())
+            clip_device.connected()  # as where the line is opened again
+            assert source.facts()["discarded"] == 7
+
+
 def test_an_unplugged_oximeter_comes_back() -> None:
     got, pulled = Events(), threading.Event()
     with (

@@ -422,5 +422,7 @@ def test_garbage_and_a_flood_on_a_serial_line_harm_no_later_frame() -> None:
         answer = CatalogueMessage(0, asked.id, robot_catalogue())
         device.write(framer.frame(CODEC.write(answer)))
         assert structures.get().message
-        facts = bridge._devices["robot"].facts()  # type: ignore[attr-defined]  # of this bridge
-        assert facts["damaged"] == 50
+        robot = bridge._devices["robot"]  # type: ignore[attr-defined]  # of this bridge
+        assert robot.facts()["damaged"] == 50
+        robot._conversation.connected()  # as where the line is opened again
+        assert robot.facts()["damaged"] == 50

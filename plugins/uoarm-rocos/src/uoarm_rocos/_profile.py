@@ -106,7 +106,7 @@ class Conversation:
         self._watch = HeartbeatWatch(_FIRST_HEARTBEAT, 0.0, 0.0)
         self._refused = self._refused_before = 0
         self._why = ""
-        self._lost_before = 0
+        self._lost_before = self._damaged_before = 0
 
     def send(self, build: Callable[[int], WireMessage], within: float | None = None) -> None:
         """Number and send a message; any thread.
@@ -163,7 +163,7 @@ class Conversation:
         """Return counters: messages lost on the way, frames damaged, messages refused."""
         return {
             "lost": self._lost_before + self._incoming.lost,
-            "damaged": self._framer.discarded,
+            "damaged": self._damaged_before + self._framer.discarded,
             "refused": self._refused,
         }
 
@@ -172,6 +172,7 @@ class Conversation:
         now = time.monotonic()
         with self._sending:
             self._seq = 0
+            self._damaged_before += self._framer.discarded
             self._framer = self._wire.framer()
             self._lost_before += self._incoming.lost
             self._incoming = SequenceCheck()

@@ -323,6 +323,8 @@ class StreamDevice(LineDevice):
         self._catalogue = catalogue
         self._make_decoder = decoder
         self._decoder = decoder()
+        # Octets of no frame: of connections before this one, and of this one up to its last frame.
+        self._discarded_before = self._discarded_then = 0
         self._timing = timing
         (self._api,) = catalogue.apis.values()
         self._patience = max(_PERIODS * (self._api.period or 0.0), _LEAST_SILENCE)
@@ -359,23 +361,26 @@ class StreamDevice(LineDevice):
 
     def facts(self) -> Mapping[str, object]:
         """Return how many octets belonged to no frame."""
-        return {"discarded": self._decoder.discarded}
+        return {"discarded": self._discarded_before + self._decoder.discarded}
 
     def _ended(self) -> None:
         self._deliveries.close()
 
     def connected(self) -> None:
         """Begin with a new decoder."""
-        self._decoder = self._make_decoder()
-        self._cause = f"the line is open, but no frame came: {_ADVICE}"
+        self._discarded_before += self._decoder.discarded
+        self._decoder, self._discarded_then = self._make_decoder(), 0
+        self._note_no_frame()
         self._last = time.monotonic()
 
     def received(self, data: bytes) -> None:
         """Decode and hand on."""
         messages = self._decoder.feed(data)
         if not messages:
+            if not self._is_there:
+                self._note_no_frame()
             return
-        self._last = time.monotonic()
+        self._last, self._discarded_then = time.monotonic(), self._decoder.discarded
         if not self._is_there:
             with self._state:
                 self._is_there = True
@@ -391,7 +396,7 @@ class StreamDevice(LineDevice):
         """Notice silence."""
         silent = now - self._last
         if silent > self._patience:
-            self._missing(f"no frame from {self.name} for {silent:.1f} s: {_ADVICE}")
+            self._missing(f"no frame from {self.name} for {silent:.1f} s: {self._advice}")
 
     def lost(self, cause: str) -> None:
         """Notice that the line is gone; called again at each attempt to open it."""
@@ -405,7 +410,17 @@ class StreamDevice(LineDevice):
         with self._state:
             self._is_there = False
         for flow in self._flows:
-            flow.monitor.tick(f": {_ADVICE}")
+            flow.monitor.tick(f": {self._advice}")
+
+    def _note_no_frame(self) -> None:
+        self._cause = f"the line is open, but no frame came: {self._advice}"
+
+    @property
+    def _advice(self) -> str:
+        came = self._decoder.discarded - self._discarded_then
+        if not came:
+            return _ADVICE
+        return f"{came:,} octets came that are no frame: are its `driver`, `url` and `baud` right?"
 
 
 class _StreamFlow:
