@@ -16,7 +16,7 @@ from ros import eventually
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, MessageStructure, Role
-from uoarm.testing import Collector, patience
+from uoarm.testing import Collector, Proxy, patience
 
 LONG = min(patience(), 60)
 SET = Endpoint("far", "set", Role.SERVICE, ("/set", "std_srvs/SetBool"), is_offered=True)
@@ -114,6 +114,20 @@ def test_a_break_that_lasts_is_a_loss_once(played: Played) -> None:
         eventually(lambda: len(events) == 3, "it is back")
         assert [event.health for event in events] == [Health.DEGRADED, Health.LOST, Health.OK]
         assert all(played.url in event.cause for event in events)
+
+
+def test_a_server_that_hangs_is_reported_and_not_logged_by_the_library(
+    played: Played, caplog: pytest.LogCaptureFixture
+) -> None:
+    port = int(played.url.rpartition(":")[2])
+    with Proxy(port) as proxy, bridge_to(f"ws://127.0.0.1:{proxy.port}", silence=2.0) as bridge:
+        events = seen(bridge)
+        bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        proxy.hold(to_client=True)
+        eventually(lambda: events, "its silence is reported")
+        assert events[0].health is Health.DEGRADED
+        assert events[0].cause.endswith(": no answer to pings for 2 s")
+    assert "keepalive ping failed" not in {record.getMessage() for record in caplog.records}
 
 
 def test_a_server_that_is_another_one_now_loses_what_has_another_type(played: Played) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -39,6 +40,8 @@ _BACKOFF = Backoff(first=0.1, most=5.0)
 _LONGEST_PATIENCE_SECONDS = 60.0
 _QUICKEST_SECONDS = 0.25
 _STEADY_SECONDS = 5.0
+_LIBRARY_LOG = logging.getLogger("uoarm.rosbridge.websockets")
+_LIBRARY_LOG.setLevel(logging.CRITICAL)  # each silence would be there with a traceback
 _FINAL = (401, 403)  # answers to the handshake that no other attempt changes
 _MOST_WAITING = 1024
 _ROOM_FOR_FIELDS = 65_536
@@ -408,6 +411,7 @@ class ServerConnection:
             close_timeout=_GOODBYE_SECONDS,
             max_size=options.budget.octets + _ROOM_FOR_FIELDS,
             proxy=None,
+            logger=_LIBRARY_LOG,
         )
 
     def _begin(self, socket: ClientConnection) -> None:
@@ -438,6 +442,8 @@ class ServerConnection:
                     return text, False
                 most = self.options.budget.octets
                 return f"a message came that is larger than `max_octets`, {most:,}", True
+            if ended is not None and ended.code == CloseCode.INTERNAL_ERROR and ended is error.sent:
+                return f"no answer to pings for {self.options.silence:g} s", False
             return _cause_of(error), False
         except OSError as error:
             return _cause_of(error), False
