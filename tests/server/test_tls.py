@@ -178,6 +178,7 @@ def test_its_own_certificate_is_kept_until_it_must_change(tmp_path: Path) -> Non
     named = fingerprint("192.168.1.2", days=370)
     assert named != soon
     assert fingerprint("192.168.1.2", days=370) == named
+    assert fingerprint("robot.local", days=370) == named, "several servers share it"
     (tmp_path / "server.pem").write_text("-----BEGIN CERTIFICATE-----\nx\n")
     assert fingerprint() not in {first, soon, named}
 
@@ -215,6 +216,28 @@ def test_a_slow_tls_handshake_is_given_up(serve: Serve, authority: Authority, sa
             assert plain.recv(100) == b""
 
 
+def shown_serial(server: Server, context: ssl.SSLContext) -> object:
+    place = "127.0.0.1", server.ports[0]
+    with (
+        socket.create_connection(place, patience()) as plain,
+        context.wrap_socket(plain, server_hostname="localhost") as tls,
+    ):
+        return (tls.getpeercert() or {})["serialNumber"]
+
+
+async def test_what_another_server_makes_anew_is_not_shown_by_this_one(
+    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    server = serve(own_certificate=True)
+    path = tmp_path / "uoarm" / "tls" / "server.pem"
+    context = ssl.create_default_context(cafile=path)
+    before = shown_serial(server, context)
+    own_certificate(path.parent, ("another.local",))
+    await server._read_again()
+    assert shown_serial(server, context) == before
+
+
 def test_a_renewed_certificate_is_shown_to_new_connections(
     serve: Serve, authority: Authority, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -226,23 +249,15 @@ def test_a_renewed_certificate_is_shown_to_new_connections(
         part.write_bytes(content)
         part.replace(shown)
 
-    def serial() -> object:
-        place = "127.0.0.1", renewed.ports[0]
-        with (
-            socket.create_connection(place, patience()) as plain,
-            context.wrap_socket(plain, server_hostname="localhost") as tls,
-        ):
-            return (tls.getpeercert() or {})["serialNumber"]
-
     put(authority.issue("first").read_bytes())
     renewed = serve(certificate=shown)
-    first = serial()
+    first = shown_serial(renewed, context)
     with Talk(url(renewed), ssl=context) as client:
         put(b"nothing")
         wait(lambda: "the one before is still shown" in caplog.text, "the mistake is logged")
-        assert serial() == first
+        assert shown_serial(renewed, context) == first
         put(authority.issue("second").read_bytes())
-        wait(lambda: serial() != first, "new connections are shown the second one")
+        wait(lambda: shown_serial(renewed, context) != first, "the second one is shown")
         assert client.ask("Call", "add", {"a": 1, "b": 2}) == {"value": 3}
 
 

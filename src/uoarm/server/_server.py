@@ -393,7 +393,10 @@ class Server:
         # Reading and checking a file takes its time; a folder on the network may even hang.
         await asyncio.to_thread(self._admission.refresh)
         if self._certificate is not None:
-            if await asyncio.to_thread(self._certificate.changed):
+            # One that is made here stays as it was printed: another server may have made it anew.
+            if not self._settings.own_certificate and await asyncio.to_thread(
+                self._certificate.changed
+            ):
                 self._certificate.show()
             self._certificate.warn()
 

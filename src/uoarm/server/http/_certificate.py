@@ -11,11 +11,15 @@ from collections.abc import Sequence
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 from uoarm._origin import install_command
 from uoarm._support.files import stamp_of, write_whole
 from uoarm._support.tls import server_context, show_certificate
 from uoarm.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from uoarm._support.certificates import CertificateFacts
 
 _log = logging.getLogger("uoarm.server")
 _VALID = timedelta(days=397)
@@ -91,7 +95,7 @@ def own_certificate(folder: Path, names: Sequence[str], now: datetime | None = N
     """Return a PEM file with a key and a self-signed certificate, made when there is none to use.
 
     It is kept for over a year, so that clients may pin it, and made anew when it soon ends or does
-    not name the server.
+    not name the server. It keeps the names that it had: several servers of this user share it.
 
     Args:
         folder: where it is kept, readable by this user only.
@@ -107,8 +111,11 @@ def own_certificate(folder: Path, names: Sequence[str], now: datetime | None = N
     moment = now or datetime.now(timezone.utc)
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_usable(path, wanted, moment):
-            made = _maker().make(wanted, moment - _EARLIER, moment + _VALID)
+        found = _found(path)
+        names_found = frozenset() if found is None else found.names
+        if found is None or set(wanted) - names_found or found.ends - moment <= _RENEW_BEFORE:
+            every = [*wanted, *sorted(names_found.difference(wanted))]
+            made = _maker().make(every, moment - _EARLIER, moment + _VALID)
             write_whole(path, made, private=True)
     except OSError as error:
         raise ConfigurationError(f"the server's own certificate: {path}: {error}") from error
@@ -131,18 +138,18 @@ def fingerprint_of(path: Path) -> str:
     return ":".join(digest[at : at + 2] for at in range(0, len(digest), 2))
 
 
-def _is_usable(path: Path, wanted: Sequence[str], now: datetime) -> bool:
-    """Say whether the file that is there can be used."""
+def _found(path: Path) -> CertificateFacts | None:
+    """Return what the certificate that is there says, None where there is none to be read."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        return False
+        return None
     if stat.S_IMODE(mode) & 0o077:
         raise ConfigurationError(
             f"{path}: others may read this key: remove it, and a new one is made"
         )
-    found = _maker().read(path.read_bytes())
-    return found is not None and set(wanted) <= found.names and found.ends - now > _RENEW_BEFORE
+    facts: CertificateFacts | None = _maker().read(path.read_bytes())
+    return facts
 
 
 def _maker() -> ModuleType:
