@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,7 +26,7 @@ from uoarm.errors import (
     MessageError,
 )
 from uoarm.model import BridgeSpec, Endpoint, Health, MessageStructure, Role
-from uoarm.testing import Collector, Proxy, patience, wait
+from uoarm.testing import Background, Collector, Proxy, patience, wait
 
 ANYTHING = MessageStructure(True)
 
@@ -591,6 +592,20 @@ class TestBroker:
                     bad.describe(endpoint("x"))
         finally:
             broker.stop()
+
+    def test_a_connection_that_is_closed_before_the_answer_has_a_hint(self, broker: Broker) -> None:
+        def close(server: socket.socket) -> None:
+            connection, _ = server.accept()
+            with connection:
+                assert connection.recv(1000)
+
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            closing = Background(lambda: close(server))
+            url = f"mqtt://127.0.0.1:{server.getsockname()[1]}"
+            why = r"does it ask for TLS \(`mqtts://`\)\? the broker closed it and did not say why"
+            with bridge_to(broker, url=url) as bridge, pytest.raises(BridgeError, match=why):
+                bridge.describe(endpoint("x"))
+            closing.result()
 
     @pytest.mark.filterwarnings("ignore::ResourceWarning")
     @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

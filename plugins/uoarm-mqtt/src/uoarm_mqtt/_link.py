@@ -120,7 +120,10 @@ class _Client(ThreadedClient):
         """Say why the connection broke: paho logs the error, and reports another for all."""
         error = self._broken_by
         why = _say(reason) if error is None else text_of(error)
-        is_ended = error is not None or reason.value == _UNSPECIFIED
+        is_closed = error is None and reason.value == _UNSPECIFIED
+        if is_closed:
+            why = "the broker closed it and did not say why"
+        is_ended = is_closed or error is not None
         if self.is_answered or not is_ended or isinstance(error, ssl.SSLError):
             return f"the connection broke: {why}"
         hint = "a certificate of the client (`tls`)" if self._ssl else "TLS (`mqtts://`)"
