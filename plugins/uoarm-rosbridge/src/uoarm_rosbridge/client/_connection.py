@@ -497,6 +497,7 @@ class ServerConnection:
     def _set(self, socket: ClientConnection | None, cause: str) -> None:
         with self._changed:
             self._socket, self._cause = socket, cause
+            self._is_hurried = self._is_hurried and socket is None
             self._changed.notify_all()
             closed = self._is_closed
         if closed and socket is not None:
@@ -504,12 +505,12 @@ class ServerConnection:
                 socket.close()
 
     def _lose(self, cause: str, *, final: bool = False) -> None:
-        self._unanswered_since = None
-        self._set(None, "" if self._is_hurried else cause)
-        self._is_garbled = False
+        self._unanswered_since, self._is_garbled = None, False
         with self._changed:
-            pending = list(self._pending.values())
-            is_closed = self._is_closed
+            # What came since it was left for the next connection waits for that one.
+            is_left, is_closed = self._is_hurried and not self._is_closed, self._is_closed
+            pending = () if is_left else tuple(self._pending.values())
+        self._set(None, "" if is_left else cause)
         for request in pending:
             request.failure = cause
             request.done.set()
