@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -224,6 +225,43 @@ def test_what_is_used_no_more_is_closed_and_ended_with_the_rights(
     text = access.read_text(encoding="utf-8")
     access.write_text(text.replace("name: agent, role: agent", "name: agent, role: guest"))
     wait(lambda: not robot.connections(), "the streams of the agent are closed")
+
+
+def test_a_call_that_rights_end_in_is_answered(
+    agents: Agents, access: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waiting = threading.Event()
+
+    async def within(seconds: float, done: asyncio.Event) -> None:
+        del seconds, done
+        waiting.set()
+        await asyncio.Event().wait()
+
+    body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call"}
+    body["params"] = {
+        "name": "wait",
+        "arguments": {"handle": agents.facts("slow", {"value": 1})["handle"], "seconds": 30},
+        "_meta": {
+            "io.modelcontextprotocol/protocolVersion": "2026-07-28",
+            "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
+            "io.modelcontextprotocol/clientCapabilities": {},
+        },
+    }
+    headers = {
+        "Authorization": f"Bearer {TOKENS['agent']}",
+        "Accept": "application/json, text/event-stream",
+        "mcp-protocol-version": "2026-07-28",
+        "mcp-method": "tools/call",
+        "mcp-name": "wait",
+    }
+    monkeypatch.setattr("uoarm_mcp._robot_tools.within", within)
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(httpx2.post, agents.url, json=body, headers=headers, timeout=patience())
+        assert waiting.wait(patience())
+        text = access.read_text(encoding="utf-8")
+        access.write_text(text.replace("name: agent, role: agent", "name: agent, role: guest"))
+        answer = asked.result()
+    assert (answer.status_code, answer.text) == (401, "the rights of this client have ended\n")
 
 
 def test_one_agent_does_not_take_the_sessions_of_all(

@@ -240,9 +240,16 @@ class AdmittingApp:
             await self._service.prepare(client, headers.get(b"mcp-name", b"").decode("latin-1"))
         token = AccessToken(token="-", client_id=client.identity, scopes=[])  # noqa: S106
         admitted = {**scope, CLIENT: client, "user": AuthenticatedUser(token)}
+        begun = False
+
+        async def noting(message: MutableMapping[str, Any]) -> None:
+            nonlocal begun
+            begun = True
+            await send(message)
+
         # What lasts, as a stream of notices, ends with the client's rights.
         task = asyncio.ensure_future(
-            self._sessions.answer(client, admitted, _again(body, receive), send)
+            self._sessions.answer(client, admitted, _again(body, receive), noting)
         )
         if client not in self._under_way:
             self._under_way[client] = set()
@@ -254,6 +261,10 @@ class AdmittingApp:
             task.cancel()
             if not client.has_ended:
                 raise
+            if begun:
+                await send({"type": "http.response.body", "body": b""})
+            else:
+                await _answer(send, 401, "the rights of this client have ended")
         finally:
             if client in self._under_way:
                 self._under_way[client].discard(task)
