@@ -86,11 +86,6 @@ def test_every_command_has_the_options(command: click.Command) -> None:
     assert {"--log-level", "--log-format"} <= options
 
 
-def test_commands_of_plugins_have_them() -> None:
-    done = run("rtm", "--log-level", "loud")
-    assert "expected debug, info, warning or error" in " ".join(done.output.split())
-
-
 def test_a_warning_has_time_level_and_logger(file: Path) -> None:
     done = in_process("request", "ticks", file, "-n", "1")
     assert done.stdout == '{"n": 1}\n', done.stderr

@@ -66,6 +66,12 @@ def test_components_are_listed(names: str, peer: Start, run: Callable[..., Any])
     assert lines[2].split() == ["in", "DataInPort", "IDL:RTC/TimedLong:1.0"]
 
 
+def test_commands_have_the_options_of_all(run: Callable[..., Any]) -> None:
+    status, _, said = run("--log-level", "loud")
+    assert status == 2
+    assert "expected debug, info, warning or error" in " ".join(said.split())
+
+
 def test_one_component_is_shown_whole(names: str, peer: Start, run: Callable[..., Any]) -> None:
     worker = peer("Worker", at=names)
     peer("Other", at=names)
