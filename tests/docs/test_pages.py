@@ -33,6 +33,12 @@ INSTALLING = [
     *ROOT.glob("examples/*/README.md"),
     *ROOT.glob("plugins/*/README.md"),
 ]
+# The commands that plugins bring, which are not installed where only the core is tested.
+OF_PLUGINS = {
+    name
+    for project in ROOT.glob("plugins/*/pyproject.toml")
+    for name in re.findall(r'"uoarm\.commands"\]\n(\w+) = ', project.read_text("utf-8"))
+}
 
 
 @frozen
@@ -203,9 +209,9 @@ def test_commands_and_their_options_exist(block: Block, line: str) -> None:
     context = click.Context(main)
     while isinstance(command, click.Group):
         name = words.pop(0)
+        if command is main and name in OF_PLUGINS - {*main.list_commands(context)}:
+            return  # its plugin is not installed here
         found = command.get_command(context, name)
-        if found is None and (ROOT / "plugins" / f"uoarm-{name}").is_dir():
-            pytest.skip(f"uoarm-{name}, which brings the command, is not installed")
         assert found is not None, f"{block}: no such command in {line!r}"
         command = found
     if "arguments" in {parameter.name for parameter in command.params}:
@@ -226,11 +232,10 @@ def options(command: click.Command) -> set[str]:
 
 def test_every_command_and_option_is_on_a_page() -> None:
     context = click.Context(main)
-    plugins = {path.name.removeprefix("uoarm-") for path in ROOT.glob("plugins/uoarm-*")}
     commands = {
         name: main.get_command(context, name)
         for name in main.list_commands(context)
-        if name not in plugins
+        if name not in OF_PLUGINS
     }
     text = "".join(page.read_text("utf-8") for page in ROOT.glob("docs/*.md"))
     assert not [name for name in commands if f"`uoarm {name}" not in text]
@@ -243,8 +248,7 @@ def test_every_command_and_option_is_on_a_page() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_commands_within_sentences_exist(page: Path) -> None:
     named = re.findall(r"`uoarm ([a-z][a-z0-9-]*)", _without_code(page.read_text("utf-8")))
-    plugins = {path.name.removeprefix("uoarm-") for path in ROOT.glob("plugins/uoarm-*")}
-    assert set(named) <= {*main.list_commands(click.Context(main)), *plugins}
+    assert set(named) <= {*main.list_commands(click.Context(main)), *OF_PLUGINS}
 
 
 @pytest.mark.parametrize("page", INSTALLING, ids=lambda page: str(page.relative_to(ROOT)))

@@ -96,8 +96,8 @@ gradian grain gram gray Gy H h hbar henry hertz horsepower hour Hz inch inches i
 kat katal kelvin kilogram kmh knot L l liter litre lm lumen lux lx m meter metre mho micron mil mile
 min minim minute mo mol molar mole molec molecule month mph N newton Np Ohm ohm ounce Pa parsec
 pascal percent pole pond pound poundal ppm psi rad radian rads rev revolution rod S s sec second
-section siemens slinch sqdeg sr statampere statcoulomb statfarad stathenry steradian stone strain Sv
-T t tesla thou ton tonne Torr torr turn V volt W watt Wb wb weber week wk yard year
+section siemens slinch sqdeg sr statampere statcoulomb statfarad stathenry steradian srd stone
+strain Sv T t tesla thou ton tonne Torr torr turn V volt W watt Wb wb weber week wk yard year
 """
 _NAMES = frozenset(_WORDS.split())
 _PREFIX_WORDS = """
