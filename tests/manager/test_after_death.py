@@ -127,3 +127,24 @@ def test_a_service_that_is_gone_fails_one_call_and_the_next_candidate_answers() 
         assert robot.call("plan", 0) == 3
         wait(lambda: "component next ok" in events)
         assert events.count("component best lost") == events.count("component next lost") == 1
+
+
+def test_errors_of_a_call_show_its_limit_in_round_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    memory, limits = MemoryBridge("memory"), list[float]()
+    memory.service("one", NUMBER, NUMBER, lambda _: 1)
+    call = memory.call
+
+    def noting(*args: Any, timeout: float, **more: Any) -> Any:
+        limits.append(timeout)
+        return call(*args, timeout=timeout, **more)
+
+    monkeypatch.setattr(memory, "call", noting)
+    text = """
+    version: 1
+    bridges: {memory: {}}
+    functions:
+      plan: {components: [{name: one, bridge: memory, service: {endpoint: [one]}}]}
+    """
+    with RobotManager(loads(text), bridges={"memory": memory}) as robot:
+        assert robot.call("plan", 0, timeout=1e6 / 3) == 1
+    assert limits == [round(limits[0], 2)]

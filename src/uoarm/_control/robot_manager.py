@@ -262,7 +262,8 @@ class RobotManager(RobotView):
         began = time.monotonic()
         # Each of both has its limit, which ends it in whatever thread it runs.
         provider = self.resolve(name, timeout=timeout).provider
-        left = max(0.0, timeout - (time.monotonic() - began))
+        # In whole hundredths: bridges show it in their errors.
+        left = max(0.0, round(timeout - (time.monotonic() - began), 2))
         return self._services.call(name, provider, message, wanted, left)
 
     def _call_planned(

@@ -275,7 +275,7 @@ class RosbridgeBridge(Bridge):
                 return caller.call(endpoint, message, timeout, self.cancelling)
             if address.is_action:
                 name, kinds = _full(address.name), self._action_types(address)
-                left = max(0.0, deadline - time.monotonic())
+                left = max(0.0, round(deadline - time.monotonic(), 2))
                 return call_action(
                     self._calls, endpoint, name, address.type, kinds, message, left, self.cancelling
                 )
