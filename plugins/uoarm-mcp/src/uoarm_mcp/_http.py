@@ -103,8 +103,9 @@ class GuestSessions:
         if session is None and (revision is None or revision in _WITH_SESSIONS):
             idle = next((known for known, requests in used.items() if not requests), None)
             if len(used) >= _MOST_SESSIONS and idle is not None:
-                await _end_session(manager, scope, idle)
+                # First, or another request would end the same one, or use it, meanwhile.
                 del used[idle]
+                await _end_session(manager, scope, idle)
         elif session in used:
             used[session] = used.pop(session) + 1
 
