@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
 from peers import Master, Peer
-from uoarm_ros1 import _master, _node, _subscription
+from uoarm_ros1 import _bridge, _master, _node, _subscription
 from uoarm_ros1._master import call_api
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
@@ -248,6 +248,36 @@ def test_a_large_graph_is_discovered_by_asking_each_thing_once(
     assert asked.count("getSystemState") == asked.count("getTopicTypes") == 1
     assert asked.count("requestTopic") < 3 * 20
     peer.kill()
+
+
+def test_many_that_open_ask_for_the_graph_once_a_second_and_what_came_since_is_found(
+    master: Master, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    peer = master.peer("many")
+    for number in range(20):
+        peer.do("advertise", topic=f"/many/{number}", type="std_msgs/Int32")
+    asked: list[str] = []
+
+    def call(uri: str, method: str, *given: Any, **named: Any) -> Any:
+        asked.append(method)
+        return call_api(uri, method, *given, **named)
+
+    with bridge_to(master, rosout=False, check=60) as bridge:
+        for module in (_master, _node, _subscription):
+            monkeypatch.setattr(module, "call_api", call)
+        monkeypatch.setattr(_bridge, "_LATELY_SECONDS", 1000.0)
+        for number in range(20):
+            at = output(f"/many/{number}")
+            assert bridge.describe(at, timeout=patience()).message is not None
+            bridge.open_source(at, ANY, Collector().deliver, timeout=patience())
+        assert asked.count("getSystemState") == 1
+        peer.do("advertise", topic="/many/later", type="std_msgs/Int32")
+        assert bridge.describe(output("/many/later"), timeout=patience()).message is not None
+        peer.kill()
+        for _ in range(2):
+            with pytest.raises(BridgeError, match="no publisher of /many/later answers"):
+                bridge.describe(output("/many/later"), timeout=patience())
+    assert asked.count("getSystemState") == 4
 
 
 def test_every_node_is_discovered_with_structures(master: Master) -> None:

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TypeVar
 from weakref import WeakSet
 
@@ -52,7 +53,10 @@ from uoarm_ros1._types import TypeStore, described_service
 
 _TICK_SECONDS = 0.25
 _JOIN_SECONDS = 1.0
+_LATELY_SECONDS = 1.0
+_AWAY = frozenset({FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE})
 C = TypeVar("C", bound=Channel)
+T = TypeVar("T")
 _Ticking = Ros1TopicSource | Relay | SameTopic
 
 
@@ -105,22 +109,36 @@ class Ros1Bridge(Bridge):
         return {"empty_turns": self._node.loop.turns.empty}
 
     def _describe(self, endpoint: Endpoint) -> Description:
-        return self._described(endpoint, Graph(self._node))
+        try:
+            return self._seeing(partial(self._described, endpoint))
+        except BridgeError as error:
+            if error.reason in _AWAY:
+                self._remember(endpoint)
+            raise
+
+    def _seeing(self, step: Callable[[Graph], T]) -> T:
+        """Do a step with what the master has said lately; where that does not do, ask it anew.
+
+        A robot of hundreds of topics would be asked for all of them by each that opens.
+        """
+        began = time.monotonic()
+        graph = Graph(self._node, began - _LATELY_SECONDS)
+        try:
+            return step(graph)
+        except BridgeError as error:
+            if error.reason not in _AWAY or graph.is_since(began):
+                raise
+        return step(Graph(self._node))
 
     def _described(self, endpoint: Endpoint, graph: Graph) -> Description:
         address, port = address_of(endpoint), port_of(endpoint)
-        try:
-            if address.is_parameter:
-                return Description(parameter_structure(self._node, endpoint, address))
-            if endpoint.role is Role.SERVICE:
-                return self._describe_service(endpoint, address, port, graph)
-            topic = self._node.resolve(address.name)
-            record = self._record(endpoint, topic, address, port, graph)
-            self._require_peer(endpoint, topic, port, graph)
-        except BridgeError as error:
-            if error.reason in {FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE}:
-                self._remember(endpoint)
-            raise
+        if address.is_parameter:
+            return Description(parameter_structure(self._node, endpoint, address))
+        if endpoint.role is Role.SERVICE:
+            return self._describe_service(endpoint, address, port, graph)
+        topic = self._node.resolve(address.name)
+        record = self._record(endpoint, topic, address, port, graph)
+        self._require_peer(endpoint, topic, port, graph)
         return Description(record.structure)
 
     def _describe_service(
@@ -169,12 +187,11 @@ class Ros1Bridge(Bridge):
         topic: str,
         address: Ros1Address,
         port: Ros1Options,
-        graph: Graph | None = None,
+        graph: Graph,
     ) -> RosRecord:
         """Return the type of a topic: as its publishers have it, else as it is defined here."""
         if endpoint.is_offered and address.type:
             return self._types.require(address.type, port.definition)
-        graph = graph or Graph(self._node)
         header = self._publisher_header(endpoint, topic, address, port, graph)
         if header is None:
             kind = address.type or graph.types.get(topic, "")
@@ -265,7 +282,7 @@ class Ros1Bridge(Bridge):
         if address.is_parameter:
             return self._opened_at(Ros1ParameterSource(self._node, endpoint, address, deliver))
         topic = self._node.resolve(address.name)
-        record = self._record(endpoint, topic, address, port)
+        record = self._seeing(partial(self._record, endpoint, topic, address, port))
         return self._opened_at(Ros1TopicSource(self._place(endpoint, topic, port), record, deliver))
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -274,7 +291,7 @@ class Ros1Bridge(Bridge):
         if address.is_parameter:
             return self._opened_at(Ros1ParameterSink(self._node, endpoint, address))
         topic = self._node.resolve(address.name)
-        record = self._record(endpoint, topic, address, port)
+        record = self._seeing(partial(self._record, endpoint, topic, address, port))
         return self._opened_at(Ros1TopicSink(self._place(endpoint, topic, port), record))
 
     def _call(
@@ -357,7 +374,7 @@ class Ros1Bridge(Bridge):
         if topics[0] == topics[1]:
             return self._opened_at(SameTopic(places[0], places[1]))
         records = [
-            self._record(end, topic, address, port)
+            self._seeing(partial(self._record, end, topic, address, port))
             for (end, address, port), topic in zip(ends, topics, strict=True)
         ]
         if records[0].md5 != records[1].md5 or records[0].name != records[1].name:

@@ -29,6 +29,7 @@ from uoarm_ros1._types import framed_writer, reader
 
 _WAIT_SECONDS = 0.2
 _LOOK_SECONDS = 0.005
+_SHARED_SECONDS = 0.2
 
 
 @frozen
@@ -388,7 +389,8 @@ class SameTopic(Channel):
     def _missing(self) -> str:
         node, topic = self._source.node, self._source.topic
         try:
-            state = node.master.state()
+            # Once for all that look in one round: it grows with the robot.
+            state = node.master.state(time.monotonic() - _SHARED_SECONDS)
         except BridgeError:
             return ""  # of the master's absence it says nothing
         for place, nodes, what in (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
@@ -24,22 +25,37 @@ _PARTS = ("/goal", "/cancel", "/status", "/feedback", "/result")
 
 
 class Graph:
-    """What the master and the nodes answer, each question asked once: for one step of a bridge."""
+    """What the master and the nodes answer, each question asked once: for one step of a bridge.
 
-    def __init__(self, node: Node) -> None:
+    Args:
+        node: that asks.
+        since: what the master was asked since then it is not asked again.
+    """
+
+    def __init__(self, node: Node, since: float = math.inf) -> None:
         self._node = node
+        self._since = since
+        self._oldest = math.inf
         self._alive: dict[str, bool] = {}
         self._headers: dict[tuple[str, str, str], PublisherHeader | str] = {}
 
     @cached_property
     def state(self) -> GraphState:
         """Who publishes, subscribes and serves what."""
-        return self._node.master.state()
+        state = self._node.master.state(self._since)
+        self._oldest = min(self._oldest, state.asked)
+        return state
 
     @cached_property
     def types(self) -> Mapping[str, str]:
         """The types of topics."""
-        return self._node.master.types()
+        types = self._node.master.types(self._since)
+        self._oldest = min(self._oldest, types.asked)
+        return types.by_topic
+
+    def is_since(self, moment: float) -> bool:
+        """Say whether all of this that was used was asked for since then."""
+        return self._oldest >= moment
 
     def seen_as(self, topic: str, wanted: str) -> str:
         """Say with which other type than wanted a topic is known, or that it is a service."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import socket
 import time
 from collections.abc import Mapping
@@ -116,11 +117,28 @@ def _exchange(host: str, port: int, body: bytes, deadline: float) -> Any:
 
 @frozen
 class GraphState:
-    """Who publishes, subscribes and serves what, as the master knows it: nodes by name."""
+    """Who publishes, subscribes and serves what, as the master knows it: nodes by name.
 
+    Attributes:
+        asked: when the master was asked, by the monotonic clock.
+    """
+
+    asked: float
     publishers: Mapping[str, tuple[str, ...]] = field(factory=dict)
     subscribers: Mapping[str, tuple[str, ...]] = field(factory=dict)
     services: Mapping[str, tuple[str, ...]] = field(factory=dict)
+
+
+@frozen
+class TopicTypes:
+    """The types of topics, by topic.
+
+    Attributes:
+        asked: when the master was asked, by the monotonic clock.
+    """
+
+    asked: float
+    by_topic: Mapping[str, str] = field(factory=dict)
 
 
 class Master:
@@ -130,6 +148,8 @@ class Master:
         self.uri = uri
         self._caller = caller
         self._own = own
+        # Replaced as a whole, by any thread: who finds an older one than wanted asks itself.
+        self._state, self._types = GraphState(-math.inf), TopicTypes(-math.inf)
 
     def call(self, method: str, *arguments: Any) -> Any:
         """Call a method.
@@ -145,28 +165,41 @@ class Master:
             hint = "start it, or set the bridge's option `master` or ROS_MASTER_URI"
             raise BridgeError(f"{error}; {hint}", FailureReason.UNAVAILABLE) from error
 
-    def state(self) -> GraphState:
-        """Return who publishes, subscribes and serves what."""
-        value = self.call("getSystemState")
+    def state(self, since: float = math.inf) -> GraphState:
+        """Return who publishes, subscribes and serves what.
+
+        Args:
+            since: time of the monotonic clock; what was asked for since then is not asked again.
+                Of thousands of topics an answer takes a tenth of a second.
+        """
+        if self._state.asked >= since:
+            return self._state
+        asked, value = time.monotonic(), self.call("getSystemState")
         if not isinstance(value, list) or len(value) != _RESULT:
             raise self._wrong("getSystemState")
         try:
-            return GraphState(
+            self._state = GraphState(
+                asked,
                 *(
                     {str(name): tuple(map(str, nodes)) for name, nodes in listing}
                     for listing in value
-                )
+                ),
             )
         except (TypeError, ValueError):
             raise self._wrong("getSystemState") from None
+        return self._state
 
-    def types(self) -> dict[str, str]:
-        """Return the types of topics, by topic; a topic without one is left out."""
-        value = self.call("getTopicTypes")
+    def types(self, since: float = math.inf) -> TopicTypes:
+        """Return the types of topics; a topic without one is left out. `since` as for `state`."""
+        if self._types.asked >= since:
+            return self._types
+        asked, value = time.monotonic(), self.call("getTopicTypes")
         try:
-            return {str(topic): str(kind) for topic, kind in value if kind != "*"}
+            types = {str(topic): str(kind) for topic, kind in value if kind != "*"}
         except (TypeError, ValueError):
             raise self._wrong("getTopicTypes") from None
+        self._types = TopicTypes(asked, types)
+        return self._types
 
     def node_uri(self, node: str) -> str:
         """Return the address of a node's API."""

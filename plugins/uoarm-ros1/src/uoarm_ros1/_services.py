@@ -47,7 +47,7 @@ def probe_service(node: Node, service: str) -> tuple[str, str]:
     except BridgeError as error:
         if error.reason is not FailureReason.REFUSED:
             raise
-        kind = node.master.types().get(service)
+        kind = node.master.types().by_topic.get(service)
         topic = f"; there is a topic of that name, of type {kind}" if kind else ""
         text = f"no node serves {service}: {error}{topic}"
         raise BridgeError(text, FailureReason.NOT_FOUND) from error
