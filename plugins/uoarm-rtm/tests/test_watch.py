@@ -12,6 +12,7 @@ import pytest
 from endpoints import HANGS_AFTER, Inbox, checked, of, sink
 from peers import Peer
 from uoarm_rtm._health import PortFault, PortStatus, blamed
+from uoarm_rtm._peer import Connector
 from uoarm_rtm._watch import Check, CheckQueue, Ticker
 
 from uoarm.bridge import Bridge
@@ -30,6 +31,25 @@ def causes(events: Inbox, words: str) -> set[str]:
         for event in events.messages
         if words in event.cause and not (event.component or "").endswith(".rtc")
     }
+
+
+def test_a_component_that_dies_while_it_is_asked_is_gone(
+    make_bridge: Make, peer: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bridge, events = make_bridge(), Inbox()
+    bridge.watch(events)
+    mortal = peer("Mortal")
+    mortal.activate()
+    channel = sink(bridge, of("Mortal", Role.INPUT, "in"))
+    alive = Connector.alive
+
+    def alive_no_more(connector: Connector, end: int) -> bool:
+        mortal.kill()  # it has just said that it is active
+        return alive(connector, end)
+
+    monkeypatch.setattr(Connector, "alive", alive_no_more)
+    assert events.event(Health.LOST, "gone").channel is channel
+    assert not causes(events, "has ended the connection")
 
 
 def test_hung_components_hold_up_no_other(make_bridge: Make, peer: Start) -> None:

@@ -140,7 +140,11 @@ class RemotePort:
             text = "does not answer: it hangs"
             return evolve(component, fault=PortFault.STUCK, cause=text, wrong_at=begin)
         except BridgeError:
-            # Ports of OpenRTM in Python answer with what came of asking the other one (observed).
+            # It may have died since it was asked for its state; but ports of OpenRTM in Python
+            # answer also with what came of asking the other one (observed).
+            again = component_status(self.peer, self.seconds)
+            if again.fault is PortFault.GONE:
+                return again
             is_connected = False
         if not is_connected:
             text = "has ended the connection"
