@@ -16,7 +16,7 @@ from typing import Any
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
-from uoarm_mqtt._link import ThreadedClient
+from uoarm_mqtt._client import ThreadedClient
 
 from uoarm.testing import patience, wait
 

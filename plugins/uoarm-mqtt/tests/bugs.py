@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from attrs import evolve, frozen
-from uoarm_mqtt import _bridge, _channels, _codec, _health, _link, _subscriptions
+from uoarm_mqtt import _bridge, _channels, _client, _codec, _health, _link, _subscriptions
 
 from uoarm.bridge import Disconnection, ReceiveQueue
 from uoarm.errors import BridgeError, MessageError
@@ -374,7 +374,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "leaves the sockets behind that wake paho",
-        _link._Client,
+        _client.BrokerClient,
         "release",
         nothing,
         EndingRules.test_no_thread_and_no_descriptor_stays_behind,

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
+from uoarm_mqtt._client import ThreadedClient
 from uoarm_mqtt._codec import PayloadCodec, with_topic
-from uoarm_mqtt._link import ThreadedClient
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
 from uoarm.bridge import Registry

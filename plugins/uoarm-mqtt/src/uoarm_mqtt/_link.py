@@ -1,10 +1,9 @@
-"""The one connection to the broker: paho's client, and the only place where paho is called."""
+"""The one connection to the broker, and the only place where paho's client is called."""
 
 from __future__ import annotations
 
 import logging
 import socket
-import ssl
 import sys
 import threading
 import time
@@ -24,7 +23,8 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from uoarm.bridge import Backoff, Disconnection, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
-from uoarm_mqtt._options import BrokerCredentials, ConnectionOptions
+from uoarm_mqtt._client import MOST_IN_FLIGHT, BrokerClient, reason_text
+from uoarm_mqtt._options import ConnectionOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
 _log = logging.getLogger("uoarm.mqtt")
@@ -38,8 +38,7 @@ _BACKOFF = Backoff(first=0.1, most=2.0)  # paho makes each pause twice the one b
 _ROOM_FOR_TOPIC = 65_536
 _HEADER = 9  # type, length, packet identifier, length of the topic: at most
 _PROPERTIES = 64  # of a message, about: its content type, its expiry, where the reply goes
-_IN_FLIGHT = 20
-_NO_SUBSCRIBERS, _UNSPECIFIED = 0x10, 0x80
+_NO_SUBSCRIBERS = 0x10
 # What trying again does not change: the credentials, the rights, the identifier, the protocol.
 _FINAL = frozenset({0x82, 0x84, 0x85, 0x86, 0x87, 0x8A, 0x8C, 0x8E, 0x9C, 0x9D})
 
@@ -67,93 +66,6 @@ Done = Callable[[PacketOutcome], object]
 class _Pending:
     done: Done
     survives: bool  # a break: paho sends it again
-
-
-class ThreadedClient(Client):
-    """paho's client, whose thread may end while it is waited for."""
-
-    def loop_stop(self) -> MQTTErrorCode:
-        """End the thread and wait for it.
-
-        paho's own reads the attribute twice, and the thread clears it at its end.
-        """
-        thread = self._thread
-        if thread is None:
-            return MQTTErrorCode.MQTT_ERR_INVAL
-        self._thread_terminate = True
-        if thread is not threading.current_thread():
-            thread.join()
-        return MQTTErrorCode.MQTT_ERR_SUCCESS
-
-
-class _Client(ThreadedClient):
-    """paho's client, whose thread does not end without a word."""
-
-    when_ended: Callable[[Exception | None], None]
-    is_answered: bool  # whether the broker answered the attempt that was begun last
-    _broken_by: OSError | None
-
-    def loop_forever(
-        self,
-        timeout: float = 1.0,
-        retry_first_connection: bool = False,  # noqa: FBT001, FBT002 - paho's signature
-    ) -> MQTTErrorCode:
-        cause = None
-        try:
-            return super().loop_forever(timeout, retry_first_connection)
-        except Exception as error:  # noqa: BLE001 - whatever ends the thread is reported
-            cause = error
-            return MQTTErrorCode.MQTT_ERR_UNKNOWN
-        finally:
-            self.when_ended(cause)
-
-    def show(self, credentials: BrokerCredentials) -> None:
-        """Show the broker these from the next connection on."""
-        self.is_answered, self._broken_by = False, None
-        if credentials.user:
-            self.username_pw_set(credentials.user, credentials.password)
-        if credentials.context is not None:
-            self._ssl_context = None  # paho takes one, and no other after it
-            self.tls_set_context(credentials.context)
-
-    def why_broken(self, reason: ReasonCode) -> str:
-        """Say why the connection broke: paho logs the error, and reports another for all."""
-        error = self._broken_by
-        why = _say(reason) if error is None else text_of(error)
-        is_closed = error is None and reason.value == _UNSPECIFIED
-        if is_closed:
-            why = "the broker closed it and did not say why"
-        is_ended = is_closed or error is not None
-        if self.is_answered or not is_ended or isinstance(error, ssl.SSLError):
-            return f"the connection broke: {why}"
-        hint = "a certificate of the client (`tls`)" if self._ssl else "TLS (`mqtts://`)"
-        return f"it ended before the broker answered: does it ask for {hint}? {why}"
-
-    def _sock_recv(self, bufsize: int) -> bytes:
-        try:
-            return super()._sock_recv(bufsize)
-        except OSError as error:
-            self._note(error)
-            raise
-
-    def _sock_send(self, buf: bytes | bytearray) -> int:
-        try:
-            return super()._sock_send(buf)
-        except OSError as error:
-            self._note(error)
-            raise
-
-    def _note(self, error: OSError) -> None:
-        if not isinstance(error, BlockingIOError):
-            self._broken_by = error
-
-    def keep_within(self, most: int) -> None:
-        """Have no more messages under way at once than the broker takes, which paho forgets."""
-        self._max_inflight_messages = min(most, _IN_FLIGHT)
-
-    def release(self) -> None:
-        """Close the sockets that wake paho's thread, which it leaves to garbage collection."""
-        self._reset_sockets()
 
 
 @define(eq=False)
@@ -185,13 +97,13 @@ class BrokerConnection:
     _pending: dict[tuple[str, int], _Pending] = field(factory=dict, init=False)
     _early: dict[tuple[str, int], PacketOutcome] = field(factory=dict, init=False)
     _disconnection: Disconnection = field(init=False)
-    _client: _Client = field(init=False)
+    _client: BrokerClient = field(init=False)
 
     def __attrs_post_init__(self) -> None:
         """Make the client; nothing is connected."""
         options = self.options
         self._disconnection = Disconnection(options.grace)
-        self._client = client = _Client(
+        self._client = client = BrokerClient(
             CallbackAPIVersion.VERSION2,
             options.client_id,
             protocol=MQTTProtocolVersion.MQTTv5,
@@ -374,7 +286,7 @@ class BrokerConnection:
         options = self.options
         wanted: dict[str, Any] = {
             "SessionExpiryInterval": max(1, int(options.grace)),
-            "ReceiveMaximum": _IN_FLIGHT,
+            "ReceiveMaximum": MOST_IN_FLIGHT,
             "MaximumPacketSize": options.budget.octets + _ROOM_FOR_TOPIC,
         }
         self._client.connect_async(
@@ -450,7 +362,7 @@ class BrokerConnection:
     def _answer(self, key: tuple[str, int], reasons: Any) -> None:
         # UNSUBACK: that there was no such subscription is what a barrier expects.
         failed = key[0] != "u" and any(reason.is_failure for reason in reasons)
-        failure = f"the broker refuses: {_say(reasons[0])}" if failed else ""
+        failure = f"the broker refuses: {reason_text(reasons[0])}" if failed else ""
         no_subscribers = key[0] == "p" and reasons[0].value == _NO_SUBSCRIBERS
         outcome = PacketOutcome(failure, no_subscribers=no_subscribers)
         with self._changed:
@@ -481,10 +393,10 @@ class BrokerConnection:
         del client, user
         self._client.is_answered = True
         if reason.is_failure:
-            self._down(f"the broker refuses: {_say(reason)}", final=reason.value in _FINAL)
+            self._down(f"the broker refuses: {reason_text(reason)}", final=reason.value in _FINAL)
             return
         self._largest = getattr(more, "MaximumPacketSize", None)
-        self._client.keep_within(getattr(more, "ReceiveMaximum", _IN_FLIGHT))
+        self._client.keep_within(getattr(more, "ReceiveMaximum", MOST_IN_FLIGHT))
         with self._changed:
             leaving = self._subscriptions.resume(is_same=flags.session_present)
             receivers = [
@@ -538,7 +450,7 @@ class BrokerConnection:
         del client, user, more
         by_broker = flags.is_disconnect_packet_from_server
         if by_broker:
-            text = f"the broker ended the connection: {_say(reason)}"
+            text = f"the broker ended the connection: {reason_text(reason)}"
             self._down(text, final=reason.value in _FINAL)
         else:
             self._down(self._client.why_broken(reason))
@@ -588,10 +500,6 @@ def properties(packet: str, **values: Any) -> Properties:
     for name, value in values.items():
         setattr(made, name, value)
     return made
-
-
-def _say(reason: ReasonCode) -> str:
-    return f"{reason} (reason code 0x{reason.value:02X})"
 
 
 def _send_at_once(client: Client, user: Any, opened: Any) -> None:

@@ -1,0 +1,109 @@
+"""paho's client as the bridge needs it: how it ends, what it shows, and why it broke."""
+
+from __future__ import annotations
+
+import ssl
+import threading
+from collections.abc import Callable
+
+from paho.mqtt.client import Client
+from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.reasoncodes import ReasonCode
+
+from uoarm.bridge import text_of
+from uoarm_mqtt._options import BrokerCredentials
+
+MOST_IN_FLIGHT = 20
+_UNSPECIFIED = 0x80
+
+
+class ThreadedClient(Client):
+    """paho's client, whose thread may end while it is waited for."""
+
+    def loop_stop(self) -> MQTTErrorCode:
+        """End the thread and wait for it.
+
+        paho's own reads the attribute twice, and the thread clears it at its end.
+        """
+        thread = self._thread
+        if thread is None:
+            return MQTTErrorCode.MQTT_ERR_INVAL
+        self._thread_terminate = True
+        if thread is not threading.current_thread():
+            thread.join()
+        return MQTTErrorCode.MQTT_ERR_SUCCESS
+
+
+class BrokerClient(ThreadedClient):
+    """paho's client, whose thread does not end without a word."""
+
+    when_ended: Callable[[Exception | None], None]
+    is_answered: bool  # whether the broker answered the attempt that was begun last
+    _broken_by: OSError | None
+
+    def loop_forever(
+        self,
+        timeout: float = 1.0,
+        retry_first_connection: bool = False,  # noqa: FBT001, FBT002 - paho's signature
+    ) -> MQTTErrorCode:
+        cause = None
+        try:
+            return super().loop_forever(timeout, retry_first_connection)
+        except Exception as error:  # noqa: BLE001 - whatever ends the thread is reported
+            cause = error
+            return MQTTErrorCode.MQTT_ERR_UNKNOWN
+        finally:
+            self.when_ended(cause)
+
+    def show(self, credentials: BrokerCredentials) -> None:
+        """Show the broker these from the next connection on."""
+        self.is_answered, self._broken_by = False, None
+        if credentials.user:
+            self.username_pw_set(credentials.user, credentials.password)
+        if credentials.context is not None:
+            self._ssl_context = None  # paho takes one, and no other after it
+            self.tls_set_context(credentials.context)
+
+    def why_broken(self, reason: ReasonCode) -> str:
+        """Say why the connection broke: paho logs the error, and reports another for all."""
+        error = self._broken_by
+        why = reason_text(reason) if error is None else text_of(error)
+        is_closed = error is None and reason.value == _UNSPECIFIED
+        if is_closed:
+            why = "the broker closed it and did not say why"
+        is_ended = is_closed or error is not None
+        if self.is_answered or not is_ended or isinstance(error, ssl.SSLError):
+            return f"the connection broke: {why}"
+        hint = "a certificate of the client (`tls`)" if self._ssl else "TLS (`mqtts://`)"
+        return f"it ended before the broker answered: does it ask for {hint}? {why}"
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        try:
+            return super()._sock_recv(bufsize)
+        except OSError as error:
+            self._note(error)
+            raise
+
+    def _sock_send(self, buf: bytes | bytearray) -> int:
+        try:
+            return super()._sock_send(buf)
+        except OSError as error:
+            self._note(error)
+            raise
+
+    def _note(self, error: OSError) -> None:
+        if not isinstance(error, BlockingIOError):
+            self._broken_by = error
+
+    def keep_within(self, most: int) -> None:
+        """Have no more messages under way at once than the broker takes, which paho forgets."""
+        self._max_inflight_messages = min(most, MOST_IN_FLIGHT)
+
+    def release(self) -> None:
+        """Close the sockets that wake paho's thread, which it leaves to garbage collection."""
+        self._reset_sockets()
+
+
+def reason_text(reason: ReasonCode) -> str:
+    """Return a reason code of the broker, or of paho, in words and as a number."""
+    return f"{reason} (reason code 0x{reason.value:02X})"
