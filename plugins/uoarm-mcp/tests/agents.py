@@ -112,6 +112,33 @@ class Agents:
         made: CallToolResult = self.run(self.client(name).call_tool(tool, dict(arguments or {})))
         return made
 
+    def posted(
+        self, tool: str, arguments: Mapping[str, Any], name: str = "agent"
+    ) -> httpx2.Response:
+        """Return the whole answer to a call of a tool, in a request of its own."""
+        body = {
+            "jsonrpc": "2.0",
+            "id": 1,
+            "method": "tools/call",
+            "params": {
+                "name": tool,
+                "arguments": dict(arguments),
+                "_meta": {
+                    "io.modelcontextprotocol/protocolVersion": "2026-07-28",
+                    "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
+                    "io.modelcontextprotocol/clientCapabilities": {},
+                },
+            },
+        }
+        headers = {
+            "Authorization": f"Bearer {self._tokens[name]}",
+            "Accept": "application/json, text/event-stream",
+            "mcp-protocol-version": "2026-07-28",
+            "mcp-method": "tools/call",
+            "mcp-name": tool,
+        }
+        return httpx2.post(self.url, json=body, headers=headers, timeout=patience())
+
     def facts(
         self, tool: str, arguments: Mapping[str, Any] | None = None, name: str = "agent"
     ) -> dict[str, Any]:

@@ -168,26 +168,5 @@ def test_to_stop_waits_for_nothing(
     server = serve(limits, access=access)
     monkeypatch.setattr(CatalogueMaker, "of", of)
     with Agents(server.ports, TOKENS) as agents:
-        body = {
-            "jsonrpc": "2.0",
-            "id": 1,
-            "method": "tools/call",
-            "params": {
-                "name": "stop",
-                "arguments": {},
-                "_meta": {
-                    "io.modelcontextprotocol/protocolVersion": "2026-07-28",
-                    "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
-                    "io.modelcontextprotocol/clientCapabilities": {},
-                },
-            },
-        }
-        headers = {
-            "Authorization": f"Bearer {TOKENS['agent']}",
-            "Accept": "application/json, text/event-stream",
-            "mcp-protocol-version": "2026-07-28",
-            "mcp-method": "tools/call",
-            "mcp-name": "stop",
-        }
-        answer = httpx2.post(agents.url, json=body, headers=headers, timeout=patience())
+        answer = agents.posted("stop", {})
         assert answer.json()["result"]["structuredContent"] == {"stopped": [], "cancelled": []}

@@ -237,26 +237,10 @@ def test_a_call_that_rights_end_in_is_answered(
         waiting.set()
         await asyncio.Event().wait()
 
-    body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call"}
-    body["params"] = {
-        "name": "wait",
-        "arguments": {"handle": agents.facts("slow", {"value": 1})["handle"], "seconds": 30},
-        "_meta": {
-            "io.modelcontextprotocol/protocolVersion": "2026-07-28",
-            "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
-            "io.modelcontextprotocol/clientCapabilities": {},
-        },
-    }
-    headers = {
-        "Authorization": f"Bearer {TOKENS['agent']}",
-        "Accept": "application/json, text/event-stream",
-        "mcp-protocol-version": "2026-07-28",
-        "mcp-method": "tools/call",
-        "mcp-name": "wait",
-    }
+    arguments = {"handle": agents.facts("slow", {"value": 1})["handle"], "seconds": 30}
     monkeypatch.setattr("uoarm_mcp._robot_tools.within", within)
     with ThreadPoolExecutor(1) as pool:
-        asked = pool.submit(httpx2.post, agents.url, json=body, headers=headers, timeout=patience())
+        asked = pool.submit(agents.posted, "wait", arguments)
         assert waiting.wait(patience())
         text = access.read_text(encoding="utf-8")
         access.write_text(text.replace("name: agent, role: agent", "name: agent, role: guest"))
