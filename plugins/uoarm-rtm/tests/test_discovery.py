@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 from endpoints import ANSWERS, Inbox, checked, endpoint
 from peers import Peer
-from uoarm_rtm import _orb
-from uoarm_rtm._discovery import DirectoryEntry, DirectoryMonitor
+from uoarm_rtm import _discovery, _orb
+from uoarm_rtm._discovery import Directory, DirectoryEntry, DirectoryMonitor
 from uoarm_rtm._naming import Name, NamingService, corbaloc
 from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb
@@ -23,7 +23,7 @@ from uoarm_rtm.component import ComponentProfile, RtComponent, Types
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge, BridgeType, Registry
-from uoarm.errors import BridgeError, ConfigurationError
+from uoarm.errors import BridgeError, BridgeTimeoutError, ConfigurationError
 from uoarm.model import BridgeSpec, Health, Role
 from uoarm.testing import patience, wait
 
@@ -137,6 +137,51 @@ def test_a_naming_service_that_hangs_holds_up_no_other() -> None:
     finally:
         listed.answers.set()
         ticker.close(patience())
+
+
+class Service:
+    """A naming service of some names, which counts how often it hung."""
+
+    address = "corbaloc::robot/NameService"
+
+    def __init__(self, *paths: str) -> None:
+        self.paths = paths
+        self.hangs = False
+        self.hung = 0
+
+    def resolve(self, path: str) -> object:
+        self._wait()
+        return self if path in self.paths else None
+
+    def names(self) -> list[Name]:
+        self._wait()
+        return [Name(path, self) for path in self.paths]
+
+    def _wait(self) -> None:
+        self.hung += self.hangs
+        if self.hangs:
+            raise BridgeTimeoutError("it hangs")
+
+
+@pytest.mark.parametrize("path", ["a.host_cxt/Both.rtc", "Both.rtc"])
+def test_a_naming_service_that_hung_is_asked_for_what_no_other_knows(
+    path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_discovery, "peer_at", lambda _, found, __: found)
+    looked = lambda _, name: DirectoryEntry(name.path, name.reference, "alive")  # noqa: E731
+    monkeypatch.setattr(Directory, "look", looked)
+    first, second = Service("a.host_cxt/Both.rtc", "First.rtc"), Service("a.host_cxt/Both.rtc")
+    services: Any = (first, second)
+    directory: Any = Directory(services, 1.0)
+    assert directory.peer(path) is first
+    first.hangs = True
+    assert directory.peer(path) is second
+    once = first.hung
+    assert directory.peer(path) is second
+    assert first.hung == once, "it took a limit again"
+    first.hangs = False
+    assert directory.peer("First.rtc") is first
+    assert directory.peer(path) is first, "it answers again"
 
 
 def test_components_are_discovered_with_ports_types_and_state(

@@ -11,7 +11,7 @@ import contextlib
 import difflib
 import threading
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -49,13 +49,14 @@ class Directory:
     """Finds components. Used from any thread.
 
     Args:
-        services: naming services, asked in this order.
+        services: naming services, asked in this order; those that hung last, at the end.
         seconds: limit of one call.
     """
 
     def __init__(self, services: Sequence[NamingService], seconds: float) -> None:
         self.services = services
         self._seconds = seconds
+        self._hung: set[NamingService] = set()
 
     def peer(self, path: str) -> PeerComponent:
         """Return the component at a path, or the only one whose path ends so.
@@ -65,30 +66,48 @@ class Directory:
                 no naming service answers.
             BridgeTimeoutError: it hangs.
         """
+        # One that hung takes a whole limit: it is asked where the others do not know the path.
+        answering = [service for service in self.services if service not in self._hung]
+        found: Name | None = None
+        if 0 < len(answering) < len(self.services):
+            with contextlib.suppress(BridgeError):
+                found = self._find(path, answering)
+        found = found or self._find(path, self.services)
+        return peer_at(found.path, found.reference, self._seconds)
+
+    def _find(self, path: str, services: Sequence[NamingService]) -> Name:
         failures = []
-        for service in self.services:
+        for service in services:
             try:
-                reference = service.resolve(path)
+                with self._noting(service):
+                    reference = service.resolve(path)
             except BridgeError as error:
                 if error.reason is FailureReason.BAD_ENDPOINT:
-                    return self._below(path, error)  # a plain way of writing one, perhaps
+                    return self._below(path, services, error)  # a plain way of writing, perhaps
                 failures.append(error)
                 continue
             if reference is not None:
-                return peer_at(path, reference, self._seconds)
-        if len(failures) == len(self.services):
+                return Name(path, reference)
+        if len(failures) == len(services):
             raise failures[0]
-        return self._below(path)
+        return self._below(path, services)
 
-    def names(self) -> dict[str, Name]:
-        """Return every component's name by its path; silent services are left out.
+    @contextlib.contextmanager
+    def _noting(self, service: NamingService) -> Iterator[None]:
+        """Note whether a naming service hangs as it is asked; a refusal comes at once."""
+        hangs = False
+        try:
+            yield
+        except BridgeTimeoutError:
+            hangs = True
+            raise
+        finally:
+            (self._hung.add if hangs else self._hung.discard)(service)
 
-        Raises:
-            BridgeError: no naming service answers.
-        """
-        answers = self._at_once(self._asked, self.services)
+    def _names(self, services: Sequence[NamingService]) -> dict[str, Name]:
+        answers = self._at_once(self._asked, services)
         failures = [answer for answer in answers if isinstance(answer, BridgeError)]
-        if len(failures) == len(self.services):
+        if len(failures) == len(services):
             raise failures[0]
         names: dict[str, Name] = {}
         for answer in answers:
@@ -102,7 +121,9 @@ class Directory:
         Raises:
             BridgeError: it does not answer.
         """
-        return {name.path: name for name in service.names() if name.path.endswith(_SUFFIX)}
+        with self._noting(service):
+            names = service.names()
+        return {name.path: name for name in names if name.path.endswith(_SUFFIX)}
 
     def _asked(self, service: NamingService) -> dict[str, Name] | BridgeError:
         try:
@@ -120,19 +141,19 @@ class Directory:
         except RuntimeError as error:  # no thread can begin any more
             raise BridgeError("this process is ending", FailureReason.CLOSED) from error
 
-    def entries(self) -> tuple[DirectoryEntry, ...]:
+    def _entries(self, services: Sequence[NamingService]) -> tuple[DirectoryEntry, ...]:
         """Return every component's name, with its condition; silent services are left out.
 
         Raises:
             BridgeError: no naming service answers.
         """
-        return self._at_once(self.look, self.names().values())
+        return self._at_once(self.look, self._names(services).values())
 
     def peers(self) -> tuple[tuple[PeerComponent, ...], tuple[tuple[str, str], ...]]:
         """Return the components that answer, and (path, what is wrong) of those that do not."""
         found: list[PeerComponent] = []
         silent = []
-        for entry in self.entries():
+        for entry in self._entries(self.services):
             if entry.condition != "alive":
                 silent.append((entry.path, entry.condition))
                 continue
@@ -153,13 +174,15 @@ class Directory:
             gone = True
         return DirectoryEntry(name.path, name.reference, "dead" if gone else "alive")
 
-    def _below(self, path: str, unreadable: BridgeError | None = None) -> PeerComponent:
+    def _below(
+        self, path: str, services: Sequence[NamingService], unreadable: BridgeError | None = None
+    ) -> Name:
         """Return the component of this name in any context, or at this path written plainly.
 
         CORBA writes a dot within a step with a backslash before it; people write `x.y.host_cxt`.
         """
         plain = path.replace("\\", "")
-        every = self.entries()
+        every = self._entries(services)
         seen = [
             entry
             for entry in every
@@ -167,7 +190,7 @@ class Directory:
         ]
         alive = [entry for entry in seen if entry.condition == "alive"]
         if len(alive) == 1:
-            return peer_at(alive[0].path, alive[0].reference, self._seconds)
+            return Name(alive[0].path, alive[0].reference)
         where = ", ".join(service.address for service in self.services)
         if alive:
             paths = ", ".join(entry.path for entry in alive)
