@@ -254,11 +254,58 @@ def test_a_renewed_certificate_is_shown_to_new_connections(
     first = shown_serial(renewed, context)
     with Talk(url(renewed), ssl=context) as client:
         put(b"nothing")
-        wait(lambda: "the one before is still shown" in caplog.text, "the mistake is logged")
+        wait(lambda: "renewed files of TLS are not used" in caplog.text, "the mistake is logged")
         assert shown_serial(renewed, context) == first
         put(authority.issue("second").read_bytes())
         wait(lambda: shown_serial(renewed, context) != first, "the second one is shown")
         assert client.ask("Call", "add", {"a": 1, "b": 2}) == {"value": 3}
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_a_renewed_authority_is_the_one_that_new_connections_rest_on(
+    serve: Serve,
+    authority: Authority,
+    access: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    own: bool,
+) -> None:
+    (tmp_path / "next").mkdir()
+    following = Authority(tmp_path / "next")
+    trusted = tmp_path / "trusted.pem"
+    trusted.write_bytes(authority.path.read_bytes())
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    if own:
+        server = serve(access=access, own_certificate=True, client_authority=trusted)
+        ca = tmp_path / "uoarm" / "tls" / "server.pem"
+    else:
+        shown, ca = authority.issue("server"), authority.path
+        server = serve(access=access, certificate=shown, client_authority=trusted)
+    before, after = ssl.create_default_context(cafile=ca), ssl.create_default_context(cafile=ca)
+    for context, issuing in ((before, authority), (after, following)):
+        context.sslsocket_class = TlsSocket
+        context.load_cert_chain(issuing.issue("joystick.example"))
+
+    def gets_in(context: ssl.SSLContext) -> bool:
+        try:
+            with Talk(url(server), ssl=context) as client:
+                return bool(client.hello["role"] == "driver")
+        except (OSError, InvalidHandshake, ConnectionClosed):
+            return False
+
+    assert (gets_in(before), gets_in(after)) == (True, False)
+    part = tmp_path / "part"
+    part.write_bytes(following.path.read_bytes())
+    part.replace(trusted)
+    wait(lambda: (gets_in(before), gets_in(after)) == (False, True), "the next one is trusted")
+    if own:
+        own_certificate(ca.parent, ("another.local",))
+        part.write_bytes(authority.path.read_bytes())
+        part.replace(trusted)
+        wait(lambda: "was made anew: restart the server" in caplog.text, "it is refused")
+        assert caplog.text.count("was made anew") == 1
+        assert gets_in(after)
 
 
 def test_the_end_of_a_certificate_is_logged_before_it_comes(

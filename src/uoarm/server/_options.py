@@ -130,7 +130,10 @@ class ServerOptions:
             ConfigurationError: a file cannot be used.
         """
         path = self.certificate_file()
-        return None if path is None else ShownCertificate(path, self.key, self.client_authority)
+        if path is None:
+            return None
+        own = self.own_certificate
+        return ShownCertificate(path, self.key, self.client_authority, is_printed=own)
 
 
 def _place(host: str, port: int) -> str:

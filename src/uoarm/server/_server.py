@@ -393,11 +393,7 @@ class Server:
         # Reading and checking a file takes its time; a folder on the network may even hang.
         await asyncio.to_thread(self._admission.refresh)
         if self._certificate is not None:
-            # One that is made here stays as it was printed: another server may have made it anew.
-            if not self._settings.own_certificate and await asyncio.to_thread(
-                self._certificate.changed
-            ):
-                self._certificate.show()
+            await asyncio.to_thread(self._certificate.refresh)
             self._certificate.warn()
 
     async def _look_after_clients(self) -> None:

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from uoarm._origin import install_command
 from uoarm._support.files import stamp_of, write_whole
-from uoarm._support.tls import server_context, show_certificate
+from uoarm._support.tls import server_context
 from uoarm.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -27,15 +27,27 @@ _RENEW_BEFORE = timedelta(days=30)
 _EARLIER = timedelta(hours=1)
 _ALWAYS = ("localhost", "127.0.0.1", "::1")
 _LATE = timedelta(days=14)  # for a renewal; or a third of how long the certificate is good
+_UNUSED = "renewed files of TLS are not used, those before are: %s"
+
+
+class _LatestContext(ssl.SSLContext):
+    """Hands each connection to the context made last; what one trusts can only be added to."""
+
+    latest: ssl.SSLContext
+
+    def wrap_bio(self, *arguments: Any, **named: Any) -> ssl.SSLObject:
+        """Begin a connection, as asyncio does for each."""
+        return self.latest.wrap_bio(*arguments, **named)
 
 
 class ShownCertificate:
-    """What connections are shown: files that are read again after a change, as by a renewal.
+    """What connections are shown and trust: files that are read again where they were renewed.
 
     Args:
         path: PEM file of the certificate and its chain.
         key: PEM file of its key; None: in the same file.
         authority: PEM file that certificates of clients rest on; None: they are asked for none.
+        is_printed: programs were given its fingerprint: no other takes its place.
 
     Attributes:
         context: of each connection.
@@ -44,36 +56,42 @@ class ShownCertificate:
         ConfigurationError: a file cannot be used.
     """
 
-    def __init__(self, path: Path, key: Path | None, authority: Path | None) -> None:
+    def __init__(
+        self, path: Path, key: Path | None, authority: Path | None, *, is_printed: bool = False
+    ) -> None:
+        self._is_printed = is_printed
         self._path, self._key, self._authority = path, key, authority
         self._stamps = self._look()
-        self.context = server_context(path, key, authority)
+        self.context = _LatestContext(ssl.PROTOCOL_TLS_SERVER)
+        self.context.latest = server_context(path, key, authority)
         self._facts = _maker().read(path.read_bytes())
         self._warned = ""
 
-    def changed(self) -> bool:
-        """Say whether the files were changed, and can be used; mistakes are logged, once.
+    def refresh(self) -> None:
+        """Have new connections use what the files hold now; mistakes are logged, once.
 
         Blocks while it reads: called in a thread of its own, one call at a time.
         """
         stamps = self._look()
+        # Another server of this user may have made it anew.
+        is_another = self._is_printed and stamps[0] != self._stamps[0]
+        if is_another:
+            stamps = (self._stamps[0], *stamps[1:])
         if stamps == self._stamps:
-            return False
+            return
         self._stamps = stamps
+        if is_another:
+            _log.error(_UNUSED, f"{self._path} was made anew: restart the server")
+            return
         try:
-            # Half of a pair would take the place of the one that is shown.
-            server_context(self._path, self._key, self._authority)
+            self.context.latest = server_context(self._path, self._key, self._authority)
         except ConfigurationError as error:
-            _log.error("the certificate is not used, the one before is still shown: %s", error)
-            return False
-        return True
-
-    def show(self) -> None:
-        """Show new connections what the files hold now, in the thread that makes connections."""
-        show_certificate(self.context, self._path, self._key)
+            _log.error(_UNUSED, error)
+            return
         self._facts = _maker().read(self._path.read_bytes())
         self._warned = ""
-        _log.info("certificate %s was renewed, SHA-256 %s", self._path, fingerprint_of(self._path))
+        digest = fingerprint_of(self._path)
+        _log.info("files of TLS were renewed; certificate %s, SHA-256 %s", self._path, digest)
 
     def warn(self, now: datetime | None = None) -> None:
         """Log once that the certificate ends soon, and once that it has ended."""
@@ -88,7 +106,8 @@ class ShownCertificate:
             _log.warning(text, self._path, ends, at)
 
     def _look(self) -> tuple[tuple[int, ...], ...]:
-        return tuple(stamp_of(path) for path in (self._path, self._key) if path is not None)
+        files = self._path, self._key, self._authority
+        return tuple(stamp_of(path) for path in files if path is not None)
 
 
 def own_certificate(folder: Path, names: Sequence[str], now: datetime | None = None) -> Path:
