@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import ssl
 from contextlib import suppress
 from functools import partial
@@ -18,7 +19,7 @@ from cryptography.hazmat.primitives.serialization import (
 
 from uoarm._support.certificates import new_key
 from uoarm._support.tls import client_context, server_context
-from uoarm.bridge import TlsOptions
+from uoarm.bridge import TlsOptions, tls_fault
 from uoarm.errors import ConfigurationError
 from uoarm.server.http import own_certificate
 
@@ -102,3 +103,32 @@ def test_a_key_of_another_or_with_a_passphrase_is_refused_without_asking(
 def test_the_error_of_a_bridge_names_it(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"bridge 'b': tls: .*no\.pem: "):
         TlsOptions(str(tmp_path / "no.pem")).context("b")
+
+
+@pytest.mark.parametrize(
+    ("host", "certified", "why"),
+    [
+        ("localhost", True, "its certificate is not trusted: self.signed certificate; trust it"),
+        ("another", False, r"its certificate is not trusted: .*; connect by a name that it has"),
+        ("localhost", None, "no TLS: wrong version number"),
+    ],
+)
+def test_why_tls_failed_is_said_in_words(
+    certificate: Path, host: str, certified: bool | None, why: str
+) -> None:
+    into, out = ssl.MemoryBIO(), ssl.MemoryBIO()
+    server = server_context(certificate).wrap_bio(into, out, server_side=True)
+    client = client_context(None if certified else certificate).wrap_bio(
+        out, into, server_hostname=host
+    )
+    with suppress(ssl.SSLWantReadError):
+        client.do_handshake()
+    if certified is None:
+        out.write(b"HTTP/1.1 400 Bad Request")
+    else:
+        with suppress(ssl.SSLWantReadError):
+            server.do_handshake()
+    with pytest.raises(ssl.SSLError) as raised:
+        client.do_handshake()
+    assert re.fullmatch(why, tls_fault(raised.value, "trust it"))
+    assert tls_fault(ConnectionResetError("gone")) == "ConnectionResetError: gone"

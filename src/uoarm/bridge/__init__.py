@@ -25,6 +25,7 @@ from uoarm.bridge._options import (
     option,
     options_table,
     renewed,
+    tls_fault,
 )
 from uoarm.bridge._registry import (
     MOST_HOPS,
@@ -92,4 +93,5 @@ __all__ = [
     "refuse_loop",
     "renewed",
     "text_of",
+    "tls_fault",
 ]

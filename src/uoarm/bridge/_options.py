@@ -23,6 +23,7 @@ import attrs
 from typing_extensions import Self
 
 from uoarm._mistakes import Mistake, Speller, schema_mistakes
+from uoarm._raised import text_of
 from uoarm._support.yaml import write_path
 from uoarm.bridge._border import reading_endpoint
 from uoarm.errors import ConfigurationError
@@ -188,6 +189,32 @@ class TlsOptions(DeclaredOptions):
 
         what = f"bridge {bridge!r}: tls"
         return client_context(self.ca, self.certificate, self.key, what=what)
+
+
+_TO_DO = {  # by OpenSSL's number of what is wrong with a certificate
+    9: "look at the clocks",
+    10: "renew it there, or look at this machine's clock",
+    62: "connect by a name that it has",
+    64: "connect by an address that it has",
+}
+
+
+def tls_fault(error: BaseException, trust: str = "give its authority as `ca` of `tls`") -> str:
+    """Say why no connection came about, in words for what TLS raises.
+
+    Args:
+        error: any; that of no TLS is put as it is.
+        trust: what to do for a certificate that rests on nothing known.
+    """
+    import ssl  # noqa: PLC0415 - slow import
+
+    if isinstance(error, ssl.SSLCertVerificationError):
+        to_do = _TO_DO.get(getattr(error, "verify_code", 0), trust)
+        return f"its certificate is not trusted: {error.verify_message.rstrip('.')}; {to_do}"
+    if isinstance(error, ssl.SSLError):
+        reason = getattr(error, "reason", None) or str(error)
+        return f"no TLS: {reason.replace('_', ' ').lower()}"
+    return text_of(error)
 
 
 def renewed(read: Callable[[], T]) -> Callable[[], T]:

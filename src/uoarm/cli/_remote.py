@@ -17,6 +17,7 @@ from attrs import field, fields_dict, frozen
 from uoarm import errors
 from uoarm._raised import text_of
 from uoarm._support.files import UnreadableFileError, read_text
+from uoarm.bridge import tls_fault
 from uoarm.cli._output import echo, styled
 from uoarm.cli._shared import (
     BRIDGE,
@@ -162,14 +163,6 @@ def asked(server: Remote, work: Callable[[Any], Awaitable[Any]], *, watches: boo
             fail(f"{server.url}: {_cause(error, server)}", BRIDGE, "UOA-402")
 
 
-_TO_DO = {  # by OpenSSL's number of what is wrong with a certificate
-    9: "look at the clocks",
-    10: "renew it there, or look at this machine's clock",
-    62: "connect by a name that it has",
-    64: "connect by an address that it has",
-}
-
-
 def _cause(error: Exception, server: Remote) -> str:
     """Say why a server was not reached, in words that need no knowledge of sockets."""
     import ssl  # noqa: PLC0415 - when first needed
@@ -179,12 +172,9 @@ def _cause(error: Exception, server: Remote) -> str:
         return "nothing listens there: is uoarm serve running?"
     if isinstance(error, TimeoutError):
         return "it does not answer"
-    if isinstance(error, ssl.SSLCertVerificationError):
-        why = f"its certificate is not trusted: {error.verify_message.rstrip('.')}"
-        trust = "give --authority FILE, or --fingerprint with what it printed at its start"
-        return f"{why}; {_TO_DO.get(getattr(error, 'verify_code', 0), trust)}"
     if isinstance(error, ssl.SSLError):
-        return f"no TLS: {error.reason or error}"
+        trust = "give --authority FILE, or --fingerprint with what it printed at its start"
+        return tls_fault(error, trust)
     if isinstance(error, OSError):
         number = error.errno or 0  # asyncio's own text repeats the address; negative: of names
         return f"it cannot be reached: {os.strerror(number) if number > 0 else error.strerror}"

@@ -10,7 +10,7 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode
 
-from uoarm.bridge import text_of
+from uoarm.bridge import tls_fault
 from uoarm_mqtt._options import BrokerCredentials
 
 MOST_IN_FLIGHT = 20
@@ -67,7 +67,7 @@ class BrokerClient(ThreadedClient):
     def why_broken(self, reason: ReasonCode) -> str:
         """Say why the connection broke: paho logs the error, and reports another for all."""
         error = self._broken_by
-        why = reason_text(reason) if error is None else text_of(error)
+        why = reason_text(reason) if error is None else tls_fault(error)
         is_closed = error is None and reason.value == _UNSPECIFIED
         if is_closed:
             why = "the broker closed it and did not say why"

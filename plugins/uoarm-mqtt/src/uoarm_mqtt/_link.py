@@ -20,7 +20,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from uoarm.bridge import Backoff, Disconnection, text_of
+from uoarm.bridge import Backoff, Disconnection, text_of, tls_fault
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
 from uoarm_mqtt._client import MOST_IN_FLIGHT, BrokerClient, reason_text
@@ -437,7 +437,7 @@ class BrokerConnection:
     def _on_connect_fail(self, client: Client, user: Any) -> None:
         del client, user
         error = sys.exc_info()[1]  # paho calls this while it handles it
-        self._down(text_of(error) if error else "it could not be reached")
+        self._down(tls_fault(error) if error else "it could not be reached")
 
     def _on_disconnect(
         self,

@@ -19,7 +19,7 @@ from typing import Any, Protocol, TypeVar
 
 from websockets.exceptions import InvalidHandshake, InvalidStatus
 
-from uoarm.bridge import Backoff, asking_managers, refuse_loop, renewed, text_of
+from uoarm.bridge import Backoff, asking_managers, refuse_loop, renewed, text_of, tls_fault
 from uoarm.client import RemoteRobot, ServerAddress, ServerError, ThreadAnswer, trust_fingerprint
 from uoarm.errors import (
     BridgeError,
@@ -454,21 +454,13 @@ async def server_address(name: str, options: ManagerOptions, identity: str = "")
     )
 
 
-_SAID_IN_FULL = (9, 10, 62, 64)  # OpenSSL's: its time is to come, or is over; another name, address
-
-
 def why_unreachable(error: BaseException) -> str:
     """Say why there is no connection, of one of `CONNECTING_ERRORS`."""
     if isinstance(error, InvalidStatus):
         return _refusal(error)
     if isinstance(error, ConnectionRefusedError):
         return "nothing listens there: does `uoarm serve` run?"
-    if isinstance(error, ssl.SSLCertVerificationError):
-        why = f"its certificate is not trusted: {error.verify_message}"
-        if getattr(error, "verify_code", 0) in _SAID_IN_FULL:
-            return why
-        return f"{why}; compare `fingerprint` with what `uoarm serve` prints there"
-    return text_of(error)
+    return tls_fault(error, "compare `fingerprint` with what `uoarm serve` prints there")
 
 
 def _token(path: Path) -> str:

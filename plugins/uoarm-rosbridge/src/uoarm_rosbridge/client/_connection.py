@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import ssl
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -16,7 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 
-from uoarm.bridge import Backoff, Disconnection
+from uoarm.bridge import Backoff, Disconnection, tls_fault
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -556,6 +557,8 @@ def _cause_of(error: Exception) -> str:
         return f"no WebSocket server answers there: {error}"
     if isinstance(error, TimeoutError):
         return "no answer in time"
+    if isinstance(error, ssl.SSLError):
+        return tls_fault(error)
     if isinstance(error, OSError):
         return error.strerror or str(error)
     return str(error) or type(error).__name__
