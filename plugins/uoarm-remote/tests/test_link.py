@@ -89,6 +89,11 @@ def test_streams_commands_and_services_pass(robot: ServedRobot, desk: Desk) -> N
     assert manager.call("double", {"value": 21}, timeout=patience()) == {"value": 42}
 
 
+def test_the_address_may_have_a_path_as_below_a_proxy(robot: ServedRobot, desk: Desk) -> None:
+    manager = desk(f"{robot.url}uoarm")
+    assert manager.call("double", {"value": 21}, timeout=patience()) == {"value": 42}
+
+
 def test_a_message_that_is_longer_than_the_other_takes_ends_nothing_else(
     robot: ServedRobot, desk: Desk
 ) -> None:

@@ -11,7 +11,7 @@ from uoarm.model import Options
 
 _SECONDS = {"type": "number", "exclusiveMinimum": 0}
 _FINGERPRINT = {"type": "string", "pattern": "^([0-9A-Fa-f]{2}:?){31}[0-9A-Fa-f]{2}$"}
-_URL = {"type": "string", "pattern": "^wss?://[^/?#]+/?$", "examples": ["wss://robot3:9080/"]}
+_URL = {"type": "string", "pattern": r"^wss?://[^@?#\s]+$", "examples": ["wss://robot3:9080/"]}
 _FILE = {"type": "string", "minLength": 1, "x-uoarm-path": True}
 _PARTS = 2  # a function and a port
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,127}")
