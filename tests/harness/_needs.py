@@ -90,6 +90,7 @@ NEEDS = {
         packages=("uoarm_vda5050", "paho", "trustme"),
     ),
     "mosquitto": Need("apt install mosquitto", programs=("mosquitto", "/usr/sbin/mosquitto")),
+    "nginx": Need("apt install nginx", programs=("nginx", "/usr/sbin/nginx")),
     "mosquitto-clients": Need("apt install mosquitto-clients", programs=("mosquitto_sub",)),
     "ros1": Need("pip install -e 'plugins/uoarm-ros1[dev]'", packages=("uoarm_ros1", "rosbags")),
     "rospy": Need(

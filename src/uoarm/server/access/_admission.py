@@ -269,7 +269,8 @@ class Admission:
         if origin.partition("://")[2] != host or not host:
             raise RefusedError(
                 HTTPStatus.FORBIDDEN,
-                f"pages from {origin[:100]!r} may not connect; allow them with --origin",
+                f"pages from {origin[:100]!r} may not connect to {host[:100]!r}; "
+                "allow them with --origin",
             )
 
     def admit(self, head: RequestHead, certificate: Mapping[str, Any]) -> Credentials:
