@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import trustme
 from attrs import evolve
 from played import LISTEN, TALK, Played, asked, bridge_to, seen
 from ros import Serve, eventually, url
-from uoarm_rosbridge.client import _connection
+from uoarm_rosbridge.client import _connection, _options
 from uoarm_rosbridge.client._options import ClientOptions, Port, mistake
 from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
 from websockets.sync.server import ServerConnection
@@ -33,11 +34,16 @@ tokens: [{{name: robot, role: driver, sha256: {token}}}]
 """
 
 
-def test_auth_comes_first_and_on_every_connection_anew(played: Played, tmp_path: Path) -> None:
-    secret = tmp_path / "secret"
+def test_auth_comes_first_and_on_every_connection_anew(
+    played: Played, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    secret, reads = tmp_path / "secret", count()
     secret.write_text("kiwi\n")
     auth = {"secret_file": str(secret), "client": "10.0.0.1", "dest": "robot"}
+    read = _options._secret
+    monkeypatch.setattr(_options, "_secret", lambda *given: (next(reads), read(*given))[1])
     with bridge_to(played.url, auth=auth) as bridge:
+        assert next(reads) == 1, "as it is made, a mistake in them is refused, once"
         bridge.describe(TALK)
         assert played.came[0]["op"] == "auth"
         assert played.came[0]["end"] > played.came[0]["t"]

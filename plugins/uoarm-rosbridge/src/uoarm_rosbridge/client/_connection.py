@@ -97,7 +97,7 @@ class ServerConnection:
         questions: ServerConnection | None = None,
     ) -> None:
         self.options = options
-        self._read_access, self._access = access, access()
+        self._read_access = access
         self._questions = questions or self
         self.serving: dict[tuple[str, str], Callable[[Fields], None]] = {}
         self.watchers: tuple[Callable[[str], None], ...] = ()
@@ -376,9 +376,10 @@ class ServerConnection:
         failed = 0
         while not self._is_closed:
             try:
-                with self._connect() as socket:
+                access = self._read_access()
+                with self._connect(access) as socket:
                     begun = time.monotonic()
-                    self._begin(socket)
+                    self._begin(socket, access)
                     cause, final = self._read(socket)
                     self._lose(cause, final=final)
                     # One that breaks at once is not begun again at once, for ever.
@@ -397,14 +398,13 @@ class ServerConnection:
                 if self._changed.wait_for(lambda: self._is_closed or self._is_hurried, until):
                     self._is_hurried, failed = False, 0
 
-    def _connect(self) -> ClientConnection:
+    def _connect(self, access: ServerAccess) -> ClientConnection:
         options, left = self.options, self._disconnection.left(time.monotonic())
-        self._access = self._read_access()
         limit = _CONNECT_SECONDS if left is None else max(left, _QUICKEST_SECONDS)
         return connect(
             options.url,
-            ssl=self._access.context,
-            additional_headers=dict(self._access.headers),
+            ssl=access.context,
+            additional_headers=dict(access.headers),
             compression=None,
             open_timeout=min(limit, _CONNECT_SECONDS),
             ping_interval=options.silence / 2,
@@ -415,10 +415,10 @@ class ServerConnection:
             logger=_LIBRARY_LOG,
         )
 
-    def _begin(self, socket: ClientConnection) -> None:
+    def _begin(self, socket: ClientConnection, access: ServerAccess) -> None:
         self._longest = 0
-        if self._access.authentication is not None:
-            socket.send(json.dumps(self._access.authentication()))
+        if access.authentication is not None:
+            socket.send(json.dumps(access.authentication()))
         with self._standing_lock:
             for fields in self._standing.values():
                 socket.send(json.dumps(fields, allow_nan=False))
