@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
@@ -14,6 +15,7 @@ import trustme
 from attrs import evolve
 from parts import stage
 from robots import ROBOT, ServedRobot, here
+from uoarm_remote import _link
 
 from uoarm import QueuePolicy, RobotManager
 from uoarm.bridge import Bridge, Registry
@@ -22,6 +24,7 @@ from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, MessageError, ResolutionError
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
 from uoarm.server import ServerOptions, hash_token, make_token, serve_in_thread
+from uoarm.server.session import _native
 from uoarm.testing import Background, Collector, MemoryBridge, Proxy, patience, wait
 
 Desk = Callable[..., RobotManager]
@@ -625,6 +628,39 @@ def test_the_status_shows_the_other_manager_and_its_clock(robot: ServedRobot, de
     assert facts["manager"] == robot.manager.identity
     assert abs(float(str(facts["clock_ahead"]))) < patience()
     json.dumps(dict(facts))
+
+
+class SetClock:
+    """The module `time` in which the time of day can be set."""
+
+    def __init__(self) -> None:
+        self.ahead = 0.0
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(time, name)
+
+    def time(self) -> float:
+        return time.time() + self.ahead
+
+
+def test_a_clock_that_is_set_on_either_side_is_measured_again(
+    robot: ServedRobot, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, theirs = SetClock(), SetClock()
+    monkeypatch.setattr(_link, "time", ours)
+    monkeypatch.setattr(_native, "time", theirs)
+    manager = desk(robot.url)
+    assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+
+    def ahead() -> int:
+        return round(float(str(facts_of(manager)["clock_ahead"])) / 10_000)
+
+    assert ahead() == 0
+    ours.ahead = 20_000.0
+    assert ahead() == -2
+    monkeypatch.setattr(_link, "_CLOCK_SECONDS", 0.0)
+    theirs.ahead = 50_000.0
+    wait(lambda: ahead() == 3, "their clock is measured again")
 
 
 @pytest.mark.parametrize(

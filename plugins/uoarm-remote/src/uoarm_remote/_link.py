@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import logging
+import math
 import ssl
 import threading
 import time
@@ -42,6 +43,7 @@ T = TypeVar("T")
 _BACKOFF = Backoff(first=0.1, most=5.0, jitter=0.5)
 _FOREVER = 1e9
 _TICK_SECONDS = 0.25
+_CLOCK_SECONDS = 30.0
 _AT_ONCE = 8  # questions of one kind: the other manager has other clients, too
 _JOIN_SECONDS = 2.0
 _MOST_TOKEN = 4096
@@ -96,7 +98,12 @@ class ManagerLink:
         # Likewise of threads that wait by themselves.
         self._waiting: set[ThreadAnswer] = set()
         self.breaks = 0
-        self.ahead: float | None = None
+        # Their time of day less our monotonic seconds, and when it was measured, or its measuring
+        # begun: clocks may be set, and after a break another machine may answer. In the loop only.
+        self._difference: float | None = None
+        self._measured = -math.inf
+        self._measuring: asyncio.Future[None] | None = None
+        self._version: int | None = None  # of their status, which has the time
 
     @property
     def _is_up(self) -> bool:
@@ -111,6 +118,13 @@ class ManagerLink:
     def timeout(self) -> float:
         """Seconds that an answer may take."""
         return self._options.timeout
+
+    @property
+    def ahead(self) -> float | None:
+        """Seconds by which the other clock is ahead, None while it is unknown."""
+        if (difference := self._difference) is None:
+            return None
+        return round(difference - (time.time() - time.monotonic()), 3)  # a fact, not noise
 
     @property
     def url(self) -> str:
@@ -320,7 +334,7 @@ class ManagerLink:
         """Connect and stay until the connection ends for good; returns why."""
         try:
             server = await server_address(self._name, self._options, self._identity())
-            began = time.time()
+            began = time.monotonic()
             robot = server.robot(reconnect=_FOREVER, on_link=self._changed)
             async with robot.running(resume=True):
                 self._robot = robot
@@ -339,12 +353,34 @@ class ManagerLink:
             return text_of(error)
 
     def _greeted(self, robot: RemoteRobot, began: float) -> None:
-        came = time.time()
-        there = robot.hello.get("time")
-        # Right to half of the time that connecting took.
-        self.ahead = None if there is None else there - (began + came) / 2
+        self._note_clock(robot.hello, began)
         refuse_loop(self.place, (self._identity(), str(robot.hello.get("manager", ""))))
         self._changed("")
+
+    def _note_clock(self, said: Mapping[str, Any], began: float) -> None:
+        """Note their time of day, right to half of the time that the answer took."""
+        self._measured = time.monotonic()
+        if (there := said.get("time")) is not None:
+            self._difference = there - (began + self._measured) / 2
+
+    def _tick_clock(self) -> None:
+        robot, now = self._robot, time.monotonic()
+        if robot is not None and self._is_up and now - self._measured > _CLOCK_SECONDS:
+            self._measured = now
+            if self._measuring is None or self._measuring.done():
+                self._measuring = asyncio.ensure_future(self._measure(robot, now))
+
+    async def _measure(self, robot: RemoteRobot, began: float) -> None:
+        since: dict[str, Any] = (
+            {} if self._version is None else {"jsonMessage": {"since": self._version}}
+        )
+        try:
+            status = await robot.ask("Status", **since)
+            self._version = status["version"]
+            if self._measured == began:  # else it broke meanwhile, or took too long
+                self._note_clock(status, began)
+        except Exception as error:  # noqa: BLE001 - it is measured again
+            _log.debug("%s: its clock was not measured: %s", self.place, error)
 
     def _changed(self, cause: str) -> None:
         if cause:
@@ -367,6 +403,7 @@ class ManagerLink:
             self.breaks += self._is_up
             self._why_down = cause
             members = tuple(self._members)
+        self._measured = -math.inf
         if self._down_since is None:
             self._down_since = time.monotonic()
         self._tried.set()
@@ -412,6 +449,7 @@ class ManagerLink:
                     self._asking.pop().cancel()
                 for answer in tuple(self._waiting):
                     answer.set_exception(self._broken())
+            self._tick_clock()
             self._tick_members()
 
     def _tick_members(self) -> None:

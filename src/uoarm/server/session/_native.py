@@ -420,7 +420,8 @@ class NativeSession:
         since = (asked.jsonMessage or {}).get("since")
         question = StatusQuestion(self._client.role, self._form, since, past=watches)
         answer = await self._registry.views.get(self._shared.status.make, question)
-        parts = {**answer.fields, "own": self._form.write(self._streams.counters())}
+        own, now = self._form.write(self._streams.counters()), self._form.write(time.time())
+        parts = {**answer.fields, "own": own, "time": now}
         if (asked.jsonMessage or {}).get("clients"):
             # Names and addresses of others are for whom may see everything.
             sees_all = self._client.role.allows_all(Operation.SEE)
