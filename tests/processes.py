@@ -1,11 +1,43 @@
-"""What the kernel reports of a process whose threads come and go. Linux."""
+"""Programs run to their end, and what the kernel reports of a process that runs. Linux."""
 
+from __future__ import annotations
+
+import os
 import signal
 import subprocess
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from uoarm.testing import patience
+
+
+def run_program(
+    *command: str | Path,
+    cwd: Path | None = None,
+    env: Mapping[str, str] | None = None,
+    check: bool = False,
+) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end, with `env` beside the variables that are set."""
+    return subprocess.run(
+        command,
+        cwd=cwd,
+        env={**os.environ, **(env or {})},
+        capture_output=True,
+        text=True,
+        timeout=4 * patience(),
+        check=check,
+    )
+
+
+def run_python(
+    *words: str | Path,
+    cwd: Path | None = None,
+    env: Mapping[str, str] | None = None,
+    check: bool = False,
+) -> subprocess.CompletedProcess[str]:
+    """Run this interpreter, as `run_program` does."""
+    return run_program(sys.executable, *words, cwd=cwd, env=env, check=check)
 
 
 def hold_ends_all(*command: str) -> None:

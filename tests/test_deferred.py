@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import pydoc
-import subprocess
-import sys
 from importlib import import_module
 from types import ModuleType
 
 import pytest
+from tests.processes import run_python
 
 import uoarm
 import uoarm._control
@@ -17,7 +16,6 @@ import uoarm._lock
 import uoarm._support.yaml
 import uoarm.config
 import uoarm.schema
-from uoarm.testing import patience
 
 PACKAGES = [
     uoarm, uoarm._control, uoarm._host, uoarm._lock, uoarm._support.yaml, uoarm.config, uoarm.schema
@@ -46,7 +44,5 @@ def test_help_shows_what_is_deferred() -> None:
 
 def test_a_public_package_is_an_attribute_without_an_import_of_its_own() -> None:
     code = "import uoarm; print(uoarm.config.load.__name__, uoarm.bridge.Registry.__name__)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
-    )
+    done = run_python("-c", code, check=True)
     assert done.stdout == "load Registry\n"

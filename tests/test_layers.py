@@ -5,13 +5,13 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
-import sys
 from collections.abc import Iterable
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 from bench.structure import imports_in, imports_of, small_modules
+from tests.processes import run_python
 
 import uoarm
 from uoarm.testing import patience
@@ -288,9 +288,7 @@ functions:
 
 
 def _printed(code: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
-    )
+    done = run_python("-c", code, check=True)
     return done.stdout.removesuffix("\n")
 
 

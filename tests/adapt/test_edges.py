@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import subprocess
 import sys
 import time
 from types import SimpleNamespace
@@ -15,6 +14,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from tests.processes import run_python
 from tests.schema._hostile import HOSTILE
 from tests.structures import closed
 
@@ -23,7 +23,6 @@ from uoarm._adapt._suggest import suggest
 from uoarm.errors import MessageError
 from uoarm.model import Meaning, MessageStructure
 from uoarm.schema import CheckBudget, check
-from uoarm.testing import patience
 
 INT = {"type": "integer", "minimum": -100, "maximum": 100}
 SOURCE: dict[str, Any] = {
@@ -491,13 +490,7 @@ said(structure(celsius=number), structure(celsius={"type": "string"}))
 
 
 def test_where_a_conversion_was_not_tried_a_refusal_says_what_it_needs() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_PINT],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=10 * patience(),
-    )
+    done = run_python("-c", WITHOUT_PINT, check=True)
     by_name, by_unit, meant, no_unit, one_unit = done.stdout.splitlines()
     said = "whether fahrenheit can be converted to {} is not known: to compare and convert units "
     for text, unit in ((by_name, "celsius"), (by_unit, "Cel")):

@@ -11,13 +11,14 @@ from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner, Result
+from tests.processes import run_python
 
 from uoarm import Connection
 from uoarm.bridge import Registry, install_command
 from uoarm.cli import _run, main
 from uoarm.config import completed_schema
 from uoarm.environments import environment_python
-from uoarm.testing import ManualClock, patience, wait
+from uoarm.testing import ManualClock, wait
 
 pytestmark = pytest.mark.keeps("descriptor of pipe")  # doctor: of ROS 2, for signals
 ROBOT = """
@@ -210,10 +211,7 @@ def test_request_ends_with_the_cause_when_what_it_waits_for_raises(robot: str) -
 
 def test_request_says_once_why_it_ends(tmp_path: Path, robot: str) -> None:
     """In a process of its own: the records of a death are written by another thread."""
-    command = [sys.executable, "-m", "uoarm", "request", "failing", "-n", "1", "-f", robot]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=tmp_path, timeout=patience()
-    )
+    done = run_python("-m", "uoarm", "request", "failing", "-n", "1", "-f", robot, cwd=tmp_path)
     lines = done.stderr.splitlines()
     assert [line for line in lines if "again and again" in line] == [
         line for line in lines if line.startswith("error: ")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tests.processes import run_program
 
 from uoarm.cli import main
-from uoarm.testing import patience
 
 ROBOT = """
 version: 1
@@ -83,13 +82,6 @@ def test_a_shell_has_them(tmp_path: Path) -> None:
     """
     bash = shutil.which("bash")
     assert bash is not None
-    done = subprocess.run(
-        [bash, "--norc", "-c", typed],
-        cwd=tmp_path,
-        env={**os.environ, "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"},
-        capture_output=True,
-        text=True,
-        timeout=10 * patience(),
-        check=True,
-    )
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    done = run_program(bash, "--norc", "-c", typed, cwd=tmp_path, env={"PATH": path}, check=True)
     assert (done.stdout.split(), done.stderr) == (["count", "counter", "camera"], "")

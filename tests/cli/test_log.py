@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import re
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,12 +15,12 @@ from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.cli.commands import members
+from tests.processes import run_python
 
 from uoarm._encodable import printable
 from uoarm._log_lines import HostFormatter, JsonFormatter, TextFormatter, read_host_line
 from uoarm.cli import main
 from uoarm.model import read_json
-from uoarm.testing import patience
 
 ROBOT = """
 version: 1
@@ -66,14 +64,7 @@ def run(*arguments: str | Path, env: dict[str, str] | None = None) -> Result:
 
 
 def in_process(*arguments: str | Path, **more: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "uoarm", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **more},
-        timeout=patience(),
-        check=False,
-    )
+    return run_python("-m", "uoarm", *arguments, env=more)
 
 
 def records(stderr: str) -> list[tuple[str, str]]:

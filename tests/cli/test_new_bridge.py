@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tests.processes import run_python
 
 from uoarm.cli import main
-from uoarm.testing import patience
 
 
 def make(name: str, into: Path) -> tuple[int, str]:
@@ -64,15 +61,8 @@ def test_the_generated_bridge_passes_the_kit(tests: str, tmp_path: Path) -> None
     assert "pytest" in text
     project = tmp_path / "uoarm-my-bus"
     install(project, "my_bus")
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "-k", tests],
-        cwd=project,
-        env={**os.environ, "PYTHONPATH": str(project / "src")},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=4 * patience(),
-    )
+    words = ["-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "-k", tests]
+    done = run_python(*words, cwd=project, env={"PYTHONPATH": str(project / "src")})
     assert done.returncode == 0, done.stdout
     assert " passed" in done.stdout
     if HOSTED[0] in tests:
@@ -87,14 +77,7 @@ def test_the_name_stands_where_the_template_says_example_and_nowhere_else(tmp_pa
     project = tmp_path / "uoarm-my-example-bus"
     assert 'name = "uoarm-my-example-bus"' in (project / "pyproject.toml").read_text()
     code = "from uoarm_my_example_bus._options import BusOptions; print(BusOptions.schema())"
-    done = subprocess.run(
-        [sys.executable, "-B", "-c", code],
-        env={**os.environ, "PYTHONPATH": str(project / "src")},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=4 * patience(),
-    )
+    done = run_python("-B", "-c", code, env={"PYTHONPATH": str(project / "src")}, check=True)
     assert "'examples': [7400]" in done.stdout
     texts = [path.read_text() for path in project.rglob("*") if path.is_file()]
     assert "my_my_example" not in "".join(texts)

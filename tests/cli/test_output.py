@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tests.processes import run_python
 
 from uoarm.cli import main
 from uoarm.testing import patience
@@ -57,14 +58,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_what_components_print_goes_to_standard_error(words: tuple[str, ...], folder: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "uoarm", *words],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=2 * patience(),
-    )
+    done = run_python("-m", "uoarm", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
     decoder, rest = json.JSONDecoder(), done.stdout
     assert rest

@@ -12,10 +12,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.processes import run_python
 
 from uoarm.cli._service import Finding, Level, examine, find_unit, read_unit
 from uoarm.errors import UsageError
-from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[2]
 OTHER_USER = next(entry for entry in pwd.getpwall() if entry.pw_uid not in {0, os.getuid()})
@@ -183,10 +183,7 @@ def test_the_command_says_it_as_text_and_as_json(tmp_path: Path) -> None:
     unit.write_text("[Service]\nExecStart=/no/such/uoarm serve /no/robot.yaml\n", "utf-8")
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "uoarm", "doctor", "--service", *words]
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=patience(), check=False
-        )
+        return run_python("-m", "uoarm", "doctor", "--service", *words)
 
     shown = run("--unit", str(unit))
     assert shown.returncode == BRIDGE

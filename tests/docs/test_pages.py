@@ -15,6 +15,7 @@ from pathlib import Path
 import click
 import pytest
 from attrs import frozen
+from tests.processes import run_python
 
 from uoarm.bridge import BridgeOptions, options_table
 from uoarm.cli import main
@@ -311,14 +312,7 @@ def test_a_component_works_as_written(tmp_path: Path) -> None:
 
 
 def run(arguments: list[str], folder: Path, code: int = 0) -> str:
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=False,
-    )
+    done = run_python(*arguments, cwd=folder)
     assert done.returncode == code, done.stderr
     return done.stdout if code == 0 else done.stderr
 

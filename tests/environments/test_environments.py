@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tests.processes import run_program
 
 import uoarm
 from uoarm import environments
@@ -208,9 +209,7 @@ def test_what_runs_here_is_handed_on_although_its_wheel_is_gone_and_no_index_has
     assert python.exists()
     data = {path.parent.name: path.read_text() for path in (home / "lab").rglob("data.txt")}
     assert data == {"uoarm_little": "changed here\n", "uoarm_other": "data\n"}
-    report = subprocess.run(
-        [home / "lab/bin/little"], capture_output=True, check=True, text=True, timeout=patience()
-    )
+    report = run_program(home / "lab/bin/little", check=True)
     assert report.stdout == "little\n"
 
 

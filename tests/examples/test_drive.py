@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.processes import run_python
 from tests.server.browser import Browser, find_chromium
 
 from uoarm.testing import patience, wait
@@ -88,16 +89,14 @@ def test_the_base_drives_while_a_button_is_held(drive: Drive) -> None:
         browser.command("Input.dispatchMouseEvent", type="mousePressed", **press)
         wait(lambda: drive.moves()[-1] == "driving at 0.30 m/s")
         browser.until("document.getElementById('place').textContent.includes('at 0.30 m/s')")
-        terminal = [sys.executable, str(EXAMPLE / "terminal.py"), "--url", robot]
-        refused = subprocess.run(
-            terminal, capture_output=True, text=True, check=False, timeout=patience()
-        )
+        terminal = (EXAMPLE / "terminal.py", "--url", robot)
+        refused = run_python(*terminal)
         assert refused.returncode == 1
         assert "holds its lease" in refused.stderr
         assert drive.moves() == ["standing still", "driving at 0.30 m/s"]
         browser.command("Input.dispatchMouseEvent", type="mouseReleased", **press)
         wait(lambda: drive.moves() == ["standing still", "driving at 0.30 m/s", "standing still"])
         assert browser.js("document.getElementById('notice').textContent") == ""
-    driven = subprocess.run([*terminal, "--seconds", "0.5"], check=False, timeout=patience())
+    driven = run_python(*terminal, "--seconds", "0.5")
     assert driven.returncode == 0
     wait(lambda: drive.moves()[-2:] == ["driving at 0.20 m/s", "standing still"])

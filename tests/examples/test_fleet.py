@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
-from tests.processes import hold_ends_all
+from tests.processes import hold_ends_all, run_python
 
-from uoarm.testing import free_port, patience
+from uoarm.testing import free_port
 
 DESK = Path(__file__).parents[2] / "examples" / "fleet" / "desk.py"
 
 
 def test_every_box_arrives_although_a_vehicle_is_killed() -> None:
     ports = [str(free_port()) for _ in range(3)]
-    done = _desk(*ports)
+    done = run_python(DESK, *ports)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "all 12 boxes have arrived" in done.stdout
     assert "cat is killed" in done.stdout
@@ -24,26 +23,16 @@ def test_every_box_arrives_although_a_vehicle_is_killed() -> None:
     assert {*boxes} == {f"box {number}" for number in range(1, 13)}
 
 
-def _desk(*ports: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, str(DESK), *ports],
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=False,
-    )
-
-
 def test_a_server_that_has_taken_a_port_is_no_vehicle() -> None:
     port = str(free_port())
-    done = _desk(port, port, str(free_port()))
+    done = run_python(DESK, port, port, str(free_port()))
     assert done.returncode == 1, done.stdout
     assert done.stderr.endswith(f"the vehicle at port {port} has ended\n")
 
 
 def test_what_are_no_three_ports_is_refused() -> None:
     for ports in (("9410",), ("a", "b", "c")):
-        done = _desk(*ports)
+        done = run_python(DESK, *ports)
         assert done.returncode == 1
         assert done.stderr == f"usage: desk.py [PORT PORT PORT], not {' '.join(ports)}\n"
 

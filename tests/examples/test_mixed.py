@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from tests.processes import hold_ends_all
+from tests.processes import hold_ends_all, run_python
 
 from uoarm.testing import patience
 
@@ -17,8 +16,7 @@ SCRIPT = Path(__file__).parents[2] / "examples" / "mixed" / "mixed.py"
 @pytest.mark.parametrize("alone", [(), ("--alone",)], ids=["as it comes", "without rospy"])
 def test_the_camera_is_replaced_and_returned_to(alone: tuple[str, ...]) -> None:
     """Where rospy is not installed, both are the same."""
-    words = [sys.executable, str(SCRIPT), "--times", "1", "--patience", str(patience()), *alone]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=patience())
+    done = run_python(SCRIPT, "--times", "1", "--patience", str(patience()), *alone)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith("ROS 1: no rospy here" if alone else "ROS 1: ")

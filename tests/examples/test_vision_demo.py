@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from attrs import evolve
 from rich.console import Console
+from tests.processes import run_python
 from uoarm_vision.messages import Box, Frame, People
 from vision_demo.footage import TALKING, Footage
 from vision_demo.packages import FootageError
@@ -30,14 +31,7 @@ from uoarm.testing import patience, wait
 
 
 def run(vision: Path, output: Path, *options: str, **environment: str) -> tuple[int, Any, str]:
-    done = subprocess.run(
-        [sys.executable, str(vision / "demo.py"), "--json", "--output", str(output), *options],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, **environment},
-        timeout=4 * patience(),
-    )
+    done = run_python(vision / "demo.py", "--json", "--output", output, *options, env=environment)
     return done.returncode, json.loads(done.stdout) if done.stdout else None, done.stderr
 
 

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.processes import run_python
 
 from uoarm.testing import patience, wait
 
@@ -44,8 +45,7 @@ def test_an_order_is_carried_out_and_everything_ends(tmp_path: Path) -> None:
 def test_an_option_without_a_sense_is_refused_before_anything_is_started(
     options: tuple[str, ...],
 ) -> None:
-    command = [sys.executable, str(WAREHOUSE / "warehouse.py"), *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(), check=False)
+    done = run_python(WAREHOUSE / "warehouse.py", *options)
     assert done.returncode == 2
     assert f"error: {' '.join(options[-2:])}: expected" in done.stderr
     assert done.stdout == ""

@@ -16,6 +16,7 @@ from tests.harness import ORDER, SPARE_WORKERS, Scheduler, _places
 from tests.harness._delays import DELAYS
 from tests.harness._leaks import maker, variables_of
 from tests.harness._needs import MODULES, NEEDS
+from tests.processes import run_python
 from tests.tiers import BY_DEFAULT, NAMES, TIERS
 from xdist.remote import Producer
 
@@ -405,14 +406,7 @@ for name in sorted(LIMITED):
         importlib.import_module(name)
         print(name)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=2 * patience(),
-    )
+    done = run_python("-c", script, cwd=ROOT)
     assert not done.returncode, done.stderr
     assert "uoarm._host.remote_bridge" in done.stdout.split()
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from tests.host.hosted import COMPONENTS
+from tests.processes import run_python
 
 import uoarm
 from uoarm.testing import patience
@@ -96,14 +95,7 @@ STATUSES = {"return": 0, "raise": 1, "exit": 3, "close": 3, "ask": 3, "terminate
 
 @pytest.mark.parametrize("kept", ["with", "open"])
 def test_a_child_ends_nothing_of_its_parent(folder: Path, kept: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "program.py", kept, str(patience()), *STATUSES],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=4 * patience(),
-        check=False,
-    )
+    done = run_python("program.py", kept, str(patience()), *STATUSES, cwd=folder)
     children = [line for line in done.stdout.splitlines() if line.startswith("child ")]
     wanted = [f"child {how} {status} running" for how, status in STATUSES.items()]
     assert children == wanted, done.stdout + done.stderr
@@ -135,14 +127,7 @@ with RobotManager(loads("{version: 1, bridges: {}, functions: {}}")) as robot:
 
 
 def test_a_child_of_what_serves_ends_at_sigterm_alone(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", SERVED, str(patience())],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=4 * patience(),
-        check=False,
-    )
+    done = run_python("-c", SERVED, str(patience()), cwd=tmp_path)
     assert done.stdout.splitlines() == ["child -15", "served"], done.stdout + done.stderr
 
 

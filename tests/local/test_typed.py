@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.local import talk, typed_parts
+from tests.processes import run_python
 from typing_extensions import TypedDict
 
 from uoarm import RobotManager
@@ -207,7 +208,6 @@ def test_what_another_thread_is_importing_does_not_concern_plain_hints(
 
 
 def test_nothing_heavy_is_imported_for_plain_components() -> None:
-    import subprocess
 
     code = (
         "import sys; from tests.local import talk, parts\n"
@@ -217,7 +217,5 @@ def test_nothing_heavy_is_imported_for_plain_components() -> None:
         "{'value': 1})\n"
         "print([one for one in ('cattrs', 'numpy', 'pydantic') if one in sys.modules])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
-    )
+    done = run_python("-c", code, check=True)
     assert done.stdout.strip() == "[]"

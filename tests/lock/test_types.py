@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.processes import run_program, run_python
 from tests.structures import closed
 
 import uoarm
@@ -24,7 +24,6 @@ from uoarm._lock._record import LockedFunction, LockedPart, LockedStructure
 from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm.cli import main
 from uoarm.schema import check
-from uoarm.testing import patience
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NUMBER = {"type": "number"}
@@ -109,11 +108,9 @@ def use(manager: RobotManager) -> None:
 
 
 def mypy(folder: Path, *files: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--config-file", os.devnull, "--cache-dir",
-         str(EXAMPLES.parent / ".mypy_cache" / "types"), *files],
-        cwd=folder, capture_output=True, text=True, timeout=patience(), check=False,
-    )  # fmt: skip
+    cache = ("--cache-dir", EXAMPLES.parent / ".mypy_cache" / "types")
+    options = ("--strict", "--config-file", os.devnull, *cache)
+    done = run_python("-m", "mypy", *options, *files, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -130,10 +127,7 @@ def test_mypy_accepts_the_module_what_fits_it_and_nothing_else(tmp_path: Path) -
 
 def _vision(folder: Path) -> Lock:
     path = folder / "vision.lock"
-    arguments = ["-m", "uoarm", "lock", "--lock", str(path)]
-    subprocess.run(
-        [sys.executable, *arguments], cwd=EXAMPLES / "vision", check=True, timeout=patience()
-    )
+    run_python("-m", "uoarm", "lock", "--lock", path, cwd=EXAMPLES / "vision", check=True)
     return read_lock(path)
 
 
@@ -150,10 +144,7 @@ def test_tsc_accepts_the_declarations(tmp_path: Path) -> None:
     (tmp_path / "use.ts").write_text(USE_TS, encoding="utf-8")
     options = ["--strict", "--noEmit", "--target", "es2022", "--module", "es2022",
                "--moduleResolution", "bundler"]  # fmt: skip
-    done = subprocess.run(
-        [tsc, *options, "use.ts", "none.d.ts"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=patience(), check=False,
-    )  # fmt: skip
+    done = run_program(tsc, *options, "use.ts", "none.d.ts", cwd=tmp_path)
     assert done.returncode == 0, done.stdout
 
 

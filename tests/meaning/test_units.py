@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.meaning.unit_pairs import pairs
+from tests.processes import run_python
 
 from uoarm._meaning import Conversion, UnitError, _units, conversion, unit_mistake
-from uoarm.testing import patience
 
 PAIRS = list(pairs())
 
@@ -89,9 +87,7 @@ try:
 except UnitError as error:
     print(error)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
-    )
+    done = run_python("-c", code, check=True)
     assert "[units]" in done.stdout
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shlex
 import ssl
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -17,9 +15,9 @@ from typing import Any
 
 import pytest
 import yaml
+from tests.processes import run_python
 
 from uoarm.cli._service import options_of_serve
-from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
@@ -134,14 +132,7 @@ def serving() -> Iterator[Any]:
 
 
 def check(port: int) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, str(DEPLOY / "healthcheck.py")],
-        env={**os.environ, "UOARM_PORT": str(port)},
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=False,
-    )
+    return run_python(DEPLOY / "healthcheck.py", env={"UOARM_PORT": str(port)})
 
 
 def test_the_check_of_health_is_true_of_a_server_with_and_without_tls(serving: Any) -> None:

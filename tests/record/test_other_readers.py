@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import base64
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.processes import run_program
 from tests.record.conftest import COUNT, PICTURE, messages
 
 from uoarm.model import QueuePolicy
-from uoarm.testing import MemoryBridge, patience
+from uoarm.testing import MemoryBridge
 
 BLOCK = QueuePolicy(length=1000, policy="block", timeout=600)
 READER = """
@@ -70,24 +70,12 @@ def test_a_reader_in_another_language_reads_all(tape: Path, tmp_path: Path) -> N
     folder.mkdir()
     (folder / "package.json").write_text('{"type": "module", "private": true}')
     (folder / "read.js").write_text(READER)
-    installed = subprocess.run(
-        ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", "@mcap/core@2"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=False,
+    installed = run_program(
+        "npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", "@mcap/core@2", cwd=folder
     )
     if installed.returncode:
         pytest.skip(f"@mcap/core cannot be installed: {installed.stderr.strip()[-200:]}")
-    done = subprocess.run(
-        ["node", "read.js", str(tape)],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=False,
-    )
+    done = run_program("node", "read.js", tape, cwd=folder)
     assert done.returncode == 0, done.stderr
     read = [json.loads(line) for line in done.stdout.splitlines()]
     found = [(topic, int(time), base64.b64decode(data)) for topic, time, data in read]

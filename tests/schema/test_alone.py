@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
+
+from tests.processes import run_python
 
 PAGE = Path(__file__).parents[2] / "docs" / "schema-alone.md"
 
@@ -17,11 +17,5 @@ def test_the_command_of_the_page_answers_as_printed(tmp_path: Path) -> None:
         (tmp_path / name).write_text(content, encoding="utf-8")
     [command] = re.findall(r"^python (-m uoarm\.schema check .*)$", text, re.MULTILINE)
     [printed] = re.findall(r"```\n(incompatible\n.*?)```", text, re.DOTALL)
-    done = subprocess.run(
-        [sys.executable, *command.split()],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_python(*command.split(), cwd=tmp_path)
     assert (done.stdout, done.returncode) == (printed, 1), done.stderr

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from tests.cables import laid_cable
+from tests.processes import run_python
 from zeroconf import ServiceBrowser, ServiceInfo, ServiceStateChange, Zeroconf
 
 from uoarm.cli import _announce
@@ -154,9 +155,7 @@ def test_addresses_are_those_that_others_reach() -> None:
 
 def test_nothing_of_it_is_imported_without_the_option() -> None:
     code = "import sys, uoarm.cli._serve; print('zeroconf' in sys.modules, 'ifaddr' in sys.modules)"
-    ran = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=patience(), check=True
-    )
+    ran = run_python("-c", code, check=True)
     assert ran.stdout == "False False\n"
 
 

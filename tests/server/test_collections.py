@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.processes import run_python
+
 from uoarm.server._running import _short_collections
 from uoarm.testing import patience
 
@@ -82,11 +84,5 @@ with RobotManager(loads("version: 1\\nbridges: {}\\nfunctions: {}")) as robot:
 
 def test_ctrl_c_while_everything_is_looked_at_ends_the_server() -> None:
     """The signal comes within the collector, whose callback is the next thing that Python calls."""
-    done = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=patience(),
-    )
+    done = run_python("-c", INTERRUPTED)
     assert (done.returncode, done.stderr) == (0, "")

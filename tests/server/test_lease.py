@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from tests.processes import run_program
 from tests.server.conftest import Serve
 from tests.server.talk import Talk
 
@@ -209,8 +209,8 @@ def test_the_javascript_client_renews_while_it_holds_and_stops_then(
     serve: Serve, base: Taker
 ) -> None:
     script = Path(__file__).parent / "clients" / "with_holds.mjs"
-    command = ["node", "--experimental-websocket", "--no-warnings", str(script), url(serve())]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(), check=False)
+    flags = ["--experimental-websocket", "--no-warnings"]
+    done = run_program("node", *flags, script, url(serve()))
     assert done.stdout == "done\n", done.stdout + done.stderr
     assert base.taken.messages[:3] == [1, 1, 1]
     assert base.taken.messages[-1] == 0, "the stop comes last, whenever the button was let go"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tests.processes import run_program
 from tests.server.authority import Authority
 from tests.server.conftest import Serve
 
@@ -86,13 +86,8 @@ await robot.close();
 
     def run(token: str, more: str = "", **variables: str) -> subprocess.CompletedProcess[str]:
         flags = ["--experimental-websocket", "--no-warnings"]
-        return subprocess.run(
-            ["node", *flags, str(program), url + more, token, str(patience())],
-            env={**os.environ, **variables},
-            capture_output=True,
-            text=True,
-            timeout=2 * patience(),
-            check=False,
+        return run_program(
+            "node", *flags, program, url + more, token, str(patience()), env=variables
         )
 
     trusting = {"NODE_EXTRA_CA_CERTS": str(tmp_path / "robot.pem")}

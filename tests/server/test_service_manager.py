@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from tests.processes import run_program
 from tests.server.robot import CONFIGURATION
 from tests.server.test_serving import figures
 
@@ -126,8 +127,7 @@ def test_the_unit_is_one_that_systemd_takes_and_little_is_exposed(tmp_path: Path
     # The program is looked for; the page says where it is installed.
     unit.write_text(text.replace("/opt/uoarm/bin/uoarm", sys.executable), encoding="utf-8")
     for words in (["verify"], ["security", "--offline=true", "--threshold=25", "--no-pager"]):
-        command = ["systemd-analyze", *words, str(unit)]
-        ran = subprocess.run(command, capture_output=True, text=True, check=False)
+        ran = run_program("systemd-analyze", *words, unit)
         assert ran.returncode == 0, ran.stdout + ran.stderr
 
 

@@ -19,6 +19,7 @@ from urllib.request import urlopen
 import click
 import pytest
 from opentelemetry.sdk.trace import TracerProvider
+from tests.processes import run_python
 from tests.server.robot import CONFIGURATION
 
 from uoarm.cli._serve import exporting
@@ -74,13 +75,7 @@ print(json.dumps([alone, after]))
 
 
 def test_an_application_that_collects_metrics_gets_figures_of_its_managers() -> None:
-    ran = subprocess.run(
-        [sys.executable, "-W", "error", "-c", APPLICATION],
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=False,
-    )
+    ran = run_python("-W", "error", "-c", APPLICATION)
     assert ran.returncode == 0, ran.stderr
     alone, after = json.loads(ran.stdout)
     ends = {"producer": "eye.default", "consumer": "c1"}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import pytest
+from tests.processes import run_program
 
 TESTS = Path(__file__).parent / "web"
 OLDEST = 20
@@ -13,7 +13,7 @@ OLDEST = 20
 
 def find_node() -> str:
     node = "node"
-    version = subprocess.run([node, "--version"], capture_output=True, text=True, check=True).stdout
+    version = run_program(node, "--version", check=True).stdout
     if int(version.removeprefix("v").partition(".")[0]) < OLDEST:
         pytest.skip(f"node {version.strip()} is older than {OLDEST}")
     return node
@@ -22,8 +22,6 @@ def find_node() -> str:
 @pytest.mark.needs("node")
 def test_the_pages_code_does_what_it_says() -> None:
     files = [str(path) for path in sorted(TESTS.glob("*.test.mjs"))]
-    done = subprocess.run(
-        [find_node(), "--test", *files], capture_output=True, text=True, check=False
-    )
+    done = run_program(find_node(), "--test", *files)
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"# pass {sum(Path(file).read_text().count('test(') for file in files)}" in done.stdout

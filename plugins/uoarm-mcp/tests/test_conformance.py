@@ -16,11 +16,11 @@ from pathlib import Path
 
 import pytest
 from conformance_parts import CONFIGURATION
+from tests.processes import run_program  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import Server, ServerOptions, serve_in_thread
-from uoarm.testing import patience
 
 PACKAGES = ("@modelcontextprotocol/conformance@0.2.0-alpha.12", "node@22")
 
@@ -118,13 +118,7 @@ def outcome(suite: Path, server: Server, revision: str, folder: Path) -> tuple[s
     program = modules / "@modelcontextprotocol" / "conformance" / "dist" / "index.js"
     url = f"http://127.0.0.1:{server.ports[1]}/mcp"
     words = ["server", "--url", url, "--requirements", revision, "--output-dir", str(folder)]
-    ran = subprocess.run(
-        [str(modules / ".bin" / "node"), str(program), *words],
-        capture_output=True,
-        text=True,
-        timeout=2 * patience(),
-        check=False,
-    )
+    ran = run_program(modules / ".bin" / "node", program, *words)
     found: dict[str, set[str]] = {"SUCCESS": set(), "FAILURE": set()}
     for results in folder.glob("server-*"):
         scenario = re.sub(r"-\d{4}-\d\d-\d\dT.*", "", results.name.removeprefix("server-"))

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
-from uoarm.testing import patience
+from tests.processes import run_python  # type: ignore[import-not-found]
 
 VISIT = Path(__file__).parents[3] / "examples" / "agent" / "visit.py"
 
 
 def test_the_patient_is_measured_and_the_cuff_approved(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, str(VISIT), "--approve"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=2 * patience(),
-        check=False,
-    )
+    done = run_python(VISIT, "--approve", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     approved = lines.index("nurse: approved {'pressure': 160.0}")

@@ -6,11 +6,11 @@ import os
 import re
 import shlex
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from brokers import Broker, Peer
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_mqtt._options import MqttOptions, TopicOptions
 
 from uoarm.bridge import options_table
@@ -40,30 +40,20 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
         said: list[str] = []
 
         def answered() -> bool:
-            done = [_run(["-m", *shlex.split(line)], tmp_path) for line in commands.splitlines()]
+            lines = map(shlex.split, commands.splitlines())
+            done = [run_python("-m", *words, cwd=tmp_path) for words in lines]
             said[:] = [process.stdout + process.stderr for process in done]
             return not any(process.returncode for process in done)
 
         wait(answered, "the peers of the example did not come up", patience())
         assert "".join(said) == printed
-        assert _run(["-c", program], tmp_path).returncode == 0
+        assert run_python("-c", program, cwd=tmp_path).returncode == 0
         wait(lambda: lamp, "the lamp received nothing", patience())
         assert lamp[0].payload == b'"on"'
     finally:
         os.killpg(shell.pid, 15)
         shell.wait()
         watcher.close()
-
-
-def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *words],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=False,
-    )
 
 
 def test_the_table_of_options_is_what_the_plugin_declares() -> None:

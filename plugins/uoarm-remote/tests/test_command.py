@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import ssl
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from robots import ServedRobot, fleet
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_remote._link import why_unreachable
 
 from uoarm.server import ServerOptions, serve_in_thread
@@ -100,24 +99,14 @@ def test_a_configuration_that_is_wrong_or_imports_nothing(
 
 
 def test_the_status_of_all_is_that_of_the_fleet(robot: ServedRobot, tmp_path: Path) -> None:
-    shown = subprocess.run(
-        [sys.executable, "-m", "uoarm", "status", "--all", desk(tmp_path, first=robot.url)],
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=True,
+    shown = run_python(
+        "-m", "uoarm", "status", "--all", desk(tmp_path, first=robot.url), check=True
     )
     assert shown.stdout.startswith(f"first  {robot.url}\n  ")
 
 
 def test_it_is_a_command_of_uoarm() -> None:
-    shown = subprocess.run(
-        [sys.executable, "-m", "uoarm", "fleet", "--help"],
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=True,
-    )
+    shown = run_python("-m", "uoarm", "fleet", "--help", check=True)
     assert "uoarm fleet" in shown.stdout
 
 

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
 
 from rigs import running
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rocos.simulate import Oximeter, Scenario, TcpEnd
 
 from uoarm.config import inspect
-from uoarm.testing import patience
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "vitals"
 
 
-def plotted(file: Path, seconds: float) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(EXAMPLE / "plot.py"), "--file", str(file)]
-    return subprocess.run(
-        [*command, "--seconds", str(seconds)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-    )
+def plotted(file: Path, seconds: float) -> Any:
+    return run_python(EXAMPLE / "plot.py", "--file", file, "--seconds", str(seconds))
 
 
 def test_the_pulse_is_drawn_with_its_numbers(tmp_path: Path) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import socket
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lines import LIMIT, listening
 from rigs import endpoint
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rocos import DeviceOptions, LengthFramer, LineParts, TcpTransport, WireError, bridge_type
 from uoarm_rocos._catalogue import (
     CallMessage,
@@ -129,7 +128,7 @@ def test_every_public_name_is_there_and_loading_the_plugin_is_light() -> None:
     with pytest.raises(AttributeError, match="nothing_such"):
         _ = uoarm_rocos.nothing_such
     code = "import sys, uoarm_rocos; print({'serial', 'defusedxml', 'click'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = run_python("-c", code, check=True)
     assert "serial" not in done.stdout
     assert "defusedxml" not in done.stdout
 

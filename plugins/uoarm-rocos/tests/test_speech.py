@@ -6,7 +6,6 @@ import io
 import shutil
 import stat
 import struct
-import subprocess
 import sys
 import threading
 import wave
@@ -16,6 +15,7 @@ from typing import Any
 import pytest
 from lines import LIMIT
 from rigs import bridged, endpoint
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rocos import speech as speech_module
 from uoarm_rocos._options import DeviceOptions
 from uoarm_rocos.speech import (
@@ -125,9 +125,7 @@ print(file)
 
 
 def test_a_child_that_is_forked_leaves_the_files_of_its_parent() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", FORKED], capture_output=True, text=True, check=False, timeout=LIMIT
-    )
+    done = run_python("-c", FORKED)
     line, file = done.stdout.splitlines()
     assert line == "child 3 True", done.stderr
     assert not Path(file).parent.exists(), "the parent removes them as it ends"

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import base64
 import json
-import subprocess
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from peers import HERE, ROS_PYTHON
+from tests.processes import run_program  # type: ignore[import-not-found]
 from uoarm_ros1._definitions import RosRecord, record_of
 from uoarm_ros1._types import TypeStore, noetic_definition
 
 from uoarm.cdr import ROS_1, Codec
 from uoarm.model import Budget
-from uoarm.testing import patience, same
+from uoarm.testing import same
 
 PACKAGES = (
     "std_msgs",
@@ -39,9 +39,7 @@ for package in sys.argv[1:]:
 
 
 def lines_of(*words: str) -> Iterator[str]:
-    done = subprocess.run(
-        [ROS_PYTHON, *words], capture_output=True, text=True, timeout=patience(), check=False
-    )
+    done = run_program(ROS_PYTHON, *words)
     assert done.returncode == 0, done.stderr
     yield from done.stdout.splitlines()
 

@@ -6,12 +6,12 @@ import os
 import re
 import shlex
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import yaml
 from peers import Master
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_ros1._options import Ros1BridgeOptions, Ros1Options
 from uoarm_ros1._types import TypeStore
 
@@ -78,16 +78,8 @@ def _closed(name: str, **fields: Any) -> dict[str, Any]:
     return {**described, "additionalProperties": False}
 
 
-def _run(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", *shlex.split(line)],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=False,
-        env={**os.environ, "HOME": str(folder)},
-    )
+def _run(line: str, folder: Path) -> Any:
+    return run_python("-m", *shlex.split(line), cwd=folder, env={"HOME": str(folder)})
 
 
 def test_the_table_of_options_is_what_the_plugin_declares() -> None:

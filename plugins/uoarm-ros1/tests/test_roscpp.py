@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
 from peers import HERE, Master, Peer, compiler
+from tests.processes import run_program  # type: ignore[import-not-found]
 
 from uoarm.errors import BridgeError
 from uoarm.model import Health, MessageStructure
@@ -22,15 +22,11 @@ ANY = MessageStructure(True)
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The node, compiled."""
     path = tmp_path_factory.mktemp("roscpp") / "node"
-    flags = subprocess.run(
-        ["pkg-config", "--cflags", "--libs", "roscpp", "actionlib"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout.split()
+    found = run_program("pkg-config", "--cflags", "--libs", "roscpp", "actionlib", check=True)
+    flags = found.stdout.split()
     words = [str(compiler()), "-O0", "-o", str(path), str(HERE / "roscpp_node.cpp"), *flags]
     words += ["-lactionlib", "-lboost_thread", "-lpthread"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = run_program(*words)
     assert done.returncode == 0, done.stderr[-4000:]
     return path
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from endpoints import Inbox, endpoint, source
 from peers import own_line
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_ros2._interface_sources import in_build_order, packages_in
 from uoarm_ros2._interface_wheels import write_wheel
 
@@ -128,9 +129,8 @@ def test_a_wheel_has_what_it_records(write: Callable[..., Path], tmp_path: Path)
 
 
 def install(target: Path, *wheels: Path) -> None:
-    words = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index"]
-    pip = [*words, "--disable-pip-version-check", "--target", str(target), *map(str, wheels)]
-    done = subprocess.run(pip, capture_output=True, text=True, check=False)
+    pip = ["-m", "pip", "install", "-q", "--no-deps", "--no-index", "--disable-pip-version-check"]
+    done = run_python(*pip, "--target", target, *wheels)
     assert not done.returncode, done.stderr
 
 

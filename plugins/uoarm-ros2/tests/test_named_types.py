@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 from endpoints import endpoint
 from peers import OPTIONS
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_ros2._installed import structure_of_type
 from websockets.sync.client import connect
 
@@ -121,14 +120,7 @@ for name in ("plain/msg/A", "partly/A", "alone/msg/A", "antigravity/msg/A"):
 assert structure_of_type("std_msgs/String", {}) is not None
 print("rclpy" in sys.modules, "antigravity" in sys.modules)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=patience(),
-    )
+    done = run_python("-c", program, cwd=tmp_path)
     assert done.stdout == "False False\n", done.stdout + done.stderr
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from endpoints import INT64, Inbox, await_quiet_watch, endpoint, sink, source
 from peers import DOMAIN, Peer
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import _loop
 from uoarm_ros2._middleware._wait_set import WaitSet
 
@@ -76,13 +77,7 @@ print(seen[:2])
 def test_an_application_keeps_its_own_rclpy(tmp_path: Path) -> None:
     script = tmp_path / "application.py"
     script.write_text(HOST)
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=patience(),
-    )
+    done = run_python(script)
     assert (done.stdout.strip(), done.returncode) == ("[1, 2]", 0), done.stderr
 
 
@@ -126,13 +121,7 @@ print("child", os.waitstatus_to_exitcode(status))
 def test_a_child_that_is_forked_ends_nothing_of_its_parent(tmp_path: Path, how: str) -> None:
     script = tmp_path / "forked.py"
     script.write_text(FORKED)
-    done = subprocess.run(
-        [sys.executable, str(script), how],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=4 * patience(),
-    )
+    done = run_python(script, how)
     # Fast DDS itself may crash as a child's interpreter ends, with bare rclpy, too.
     assert done.stdout.startswith("child "), done.stderr
     assert done.returncode == 0, done.stderr
@@ -144,13 +133,7 @@ def test_a_process_that_ends_without_close_ends_as_it_wants(
 ) -> None:
     script = tmp_path / "left_open.py"
     script.write_text(LEFT_OPEN)
-    done = subprocess.run(
-        [sys.executable, str(script), how],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=patience(),
-    )
+    done = run_python(script, how)
     assert (done.returncode, done.stderr) == (code, "")
 
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from peers import OPTIONS, Peer
+from tests.processes import run_python  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import ServerOptions, serve_in_thread
-from uoarm.testing import patience
 
 CLIENT = Path(__file__).with_name("action_client.py")
 ADDRESS = "/fibonacci, test_msgs/action/Fibonacci"
@@ -43,13 +41,7 @@ def test_roslibpy_sends_goals_to_an_action(peer: Callable[..., Peer]) -> None:
         serve_in_thread(manager, ServerOptions(port=0)) as server,
     ):
         url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
-        done = subprocess.run(
-            [sys.executable, str(CLIENT), url],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=patience(),
-        )
+        done = run_python(CLIENT, url)
     assert done.stdout == "done\n", done.stdout + done.stderr
 
 
@@ -100,12 +92,6 @@ def test_fields_that_a_client_leaves_out_are_filled_as_by_rosbridge(
         serve_in_thread(manager, ServerOptions(port=0)) as serving,
     ):
         url = f"ws://127.0.0.1:{serving.ports[0]}/rosbridge"
-        done = subprocess.run(
-            [sys.executable, str(program), url],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=patience(),
-        )
+        done = run_python(program, url)
         assert done.stdout == "6\n", done.stdout + done.stderr
         assert listener.do("report", topic="/picture", expected=1)["seen"] == [7]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,12 +13,12 @@ import pytest
 from endpoints import endpoint, source
 from peers import Peer
 from test_leftovers import holding
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge
 from uoarm.cli import main
 from uoarm.model import Role
-from uoarm.testing import patience
 
 Start = Callable[..., Peer]
 PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
@@ -158,10 +156,7 @@ def test_a_naming_service_that_is_not_there_is_said(run: Callable[..., Any]) -> 
 
 def test_the_commands_are_those_of_uoarm(names: str, peer: Start, tmp_path: Path) -> None:
     peer("Worker", at=names)
-    command = [sys.executable, "-m", "uoarm", "rtm", "list", "--json"]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=True, cwd=tmp_path, timeout=patience()
-    )
+    done = run_python("-m", "uoarm", "rtm", "list", "--json", cwd=tmp_path, check=True)
     assert [row["component"] for row in json.loads(done.stdout)] == ["Worker.rtc"]
 
 
@@ -181,14 +176,7 @@ def interrupted(process, *where):
 nameserver._serves_soon = interrupted
 sys.exit(main(["nameserver", "--port", "0"]))
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, "TMPDIR": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=patience(),
-        check=False,
-    )
+    done = run_python("-c", program, env={"TMPDIR": str(tmp_path)})
     assert (done.returncode, done.stderr) == (0, "")
     process = int(done.stdout.split()[0])
     with pytest.raises(ProcessLookupError):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import Any
 import pytest
 from endpoints import ANSWERS, Inbox, checked, endpoint
 from peers import Peer
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm import _discovery, _orb
 from uoarm_rtm._discovery import Directory, DirectoryEntry, DirectoryMonitor
 from uoarm_rtm._naming import Name, NamingService, corbaloc
@@ -323,7 +322,7 @@ def test_wrong_addresses_are_named(bridge: Bridge, address: tuple[str, ...]) -> 
 
 def test_the_plugin_imports_no_middleware() -> None:
     code = "import uoarm_rtm, sys; uoarm_rtm.uoarm_bridge_types(); print('omniORB' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = run_python("-c", code, check=True)
     assert done.stdout == "False\n"
 
 

@@ -24,6 +24,7 @@ from endpoints import (
     stamped,
 )
 from peers import Peer
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm import _peer, nameserver
 from uoarm_rtm._channels import OutPortSource
 from uoarm_rtm._journal import end_connector
@@ -365,13 +366,7 @@ def test_an_orb_that_the_application_shuts_down_is_an_error_and_no_hang(
 ) -> None:
     peer("Mortal")
     script = SHUTDOWN.format(here=str(HERE), nameserver=nameserver, ANSWERS=ANSWERS)
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=patience(),
-    )
+    done = run_python("-c", script)
     assert (done.returncode, done.stdout) == (0, "fine\n"), done.stderr
 
 
@@ -450,11 +445,5 @@ for _ in range(3):
 for _ in range(300):
     sent.acquire()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=patience(),
-    )
+    done = run_python("-c", script)
     assert done.returncode == 0, done.stderr

@@ -5,8 +5,6 @@ from __future__ import annotations
 import filecmp
 import importlib.util
 import json
-import subprocess
-import sys
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -18,6 +16,7 @@ from hypothesis import given
 from jsonschema import Draft202012Validator
 from messages import messages
 from plain import plain
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm._compiler import OUR_IDL, load_idl
 from uoarm_rtm._shape import schema_of
 from uoarm_rtm._types import Types, derive
@@ -27,7 +26,7 @@ from uoarm.config import load
 from uoarm.errors import BridgeError
 from uoarm.model import MessageStructure
 from uoarm.schema import check
-from uoarm.testing import instances, patience
+from uoarm.testing import instances
 
 HERE = Path(__file__).parent
 NAMES = [
@@ -246,13 +245,7 @@ def test_missing_stubs_are_named_with_what_makes_them() -> None:
         "from uoarm.bridge import Registry; from uoarm.model import BridgeSpec\n"
         "Registry().create(BridgeSpec('rtm', 'rtm', {}))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=patience(),
-    )
+    done = run_python("-c", program)
     assert "stubs of OpenRTM's IDL are missing: install uoarm-rtm again" in done.stderr
 
 

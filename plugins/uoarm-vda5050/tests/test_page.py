@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from brokers import Broker
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_mqtt import BrokerOptions
 from uoarm_vda5050._options import FleetOptions, VehicleOptions
 
@@ -34,15 +35,13 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(robot.replace("127.0.0.1", broker.host))
     driving = subprocess.Popen([sys.executable, "agv1.py"], cwd=tmp_path)
     # Half an order would leave the vehicle away from where the next one begins.
-    words = [sys.executable, "-m", *shlex.split(command), "--timeout", str(patience())]
+    words = ["-m", *shlex.split(command), "--timeout", str(patience())]
     said: list[str] = []
 
     def answered() -> bool:
-        done = subprocess.run(
-            words, cwd=tmp_path, capture_output=True, text=True, timeout=2 * patience(), check=False
-        )
+        done = run_python(*words, cwd=tmp_path)
         said[:] = [done.stdout, done.stderr]
-        return done.returncode == 0
+        return not done.returncode
 
     try:
         wait(answered, "the vehicle of the example did not come up", patience())
