@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.structures import closed
 
 from uoarm.cdr import (
     RosDefinition,
@@ -174,11 +175,23 @@ def test_what_claims_more_than_its_octets_or_the_budget_hold_is_refused() -> Non
 
 @pytest.mark.parametrize(
     "schema",
-    [True, {"type": "object"}, {"type": "array", "items": {"type": "array"}}, {"enum": [1]}],
-)
+    [True, {"type": "object"}, {"type": "array", "items": {"type": "array"}}, {"enum": [1]},
+     {"type": "array", "prefixItems": [{"type": "integer"}], "items": False}],
+)  # fmt: skip
 def test_a_structure_without_a_layout_is_refused(schema: Any) -> None:
-    with pytest.raises(MessageError, match="has no fixed layout"):
-        deserialiser(MessageStructure(schema))
+    for structure in (MessageStructure(schema), MessageStructure(closed(field=schema))):
+        with pytest.raises(MessageError, match="has no fixed layout"):
+            deserialiser(structure)
+        with pytest.raises(MessageError, match="has no fixed layout"):
+            definition_of(structure, "x/msg/Odd")
+
+
+@pytest.mark.parametrize("schema", [{"type": "number"}, {"type": "array", "items": closed()}])
+def test_what_is_no_record_has_a_layout_and_no_definition(schema: Any) -> None:
+    structure = MessageStructure(schema)
+    deserialiser(structure)
+    with pytest.raises(MessageError, match="has no fields"):
+        definition_of(structure, "x/msg/Odd")
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 from tests.disk import full_after
-from tests.record.conftest import COUNT, PICTURE, ROBOT, messages, of_topic, readable
+from tests.record.conftest import COUNT, OCTETS, PICTURE, ROBOT, messages, of_topic, readable
+from tests.structures import closed
 
 from uoarm import Connection, RobotManager
 from uoarm._control.engine.actions import Announce
@@ -94,6 +95,26 @@ def test_the_file_says_what_it_rests_on_and_no_secrets(
     assert channels["/counter"]["uoarm.component"] == "clicks"
     stated = json.loads(channels["/counter"]["uoarm.structure"])
     assert stated["schema"] == COUNT
+
+
+def test_viewers_can_read_the_schema_of_each_channel(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    pair = {"type": "array", "prefixItems": [{"type": "number"}], "items": False}
+    path, eye = tmp_path / "run.mcap", bridge.emitter("eye", closed(data=OCTETS, pair=pair))
+    clicks = bridge.emitter("clicks", COUNT)
+    with make_robot().record("camera", "counter", path=path, queue=BLOCK):
+        eye.emit({"data": b"x", "pair": [1.5]})
+        clicks.emit({"n": 1})
+    schemas = {item.topic: json.loads(item.schema.data) for item in messages(path) if item.schema}
+    assert schemas.keys() == {"/camera", "/counter", "/uoarm/events"}
+    assert schemas["/camera"]["properties"] == {
+        "data": {"type": "string", "contentEncoding": "base64"}
+    }
+    for schema in schemas.values():
+        for part in (schema, *schema["properties"].values()):
+            assert isinstance(part["type"], str)
+            assert part["type"] != "object" or "properties" in part
 
 
 def test_a_takeover_is_in_the_file_with_its_gap(

@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from tests.structures import closed
 
-from uoarm._wire._text import make_reader, read_text, text_schema, write_text
+from uoarm._wire._text import make_reader, read_text, text_schema, viewer_schema, write_text
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.local import Range
 from uoarm.model import Budget, BudgetUse
@@ -183,6 +184,41 @@ def test_base64_without_its_padding_is_read(octets: bytes) -> None:
 
 def test_a_structure_of_strings_needs_no_reader() -> None:
     assert make_reader({"type": "object", "properties": {"text": {"type": "string"}}}) is None
+
+
+NUMBER = {"type": "number", "x-nonfinite": True}
+
+
+def test_viewers_get_each_field_that_has_one_type() -> None:
+    given = {
+        **EVERYTHING["properties"],
+        "perhaps": {"anyOf": [NUMBER, {"type": "null"}]},
+        "kind": {"enum": ["a", "b"]},
+        "places": {"type": "array", "items": closed(x=NUMBER, odd={"const": 1})},
+        "either": {"anyOf": [NUMBER, {"type": "string"}]},
+        "pair": {"type": "array", "prefixItems": [NUMBER, {"type": "string"}], "items": False},
+        "rows": {"type": "array", "items": {"type": "array", "items": NUMBER}},
+        "blobs": {"type": "array", "items": OCTETS},
+        "all": True,
+        "by_name": {"type": "object", "additionalProperties": NUMBER},
+    }
+    number, text = {"type": "number"}, {"type": "string"}
+    assert json.loads(viewer_schema(closed(**given)))["properties"] == {
+        "data": {"type": "string", "contentEncoding": "base64"},
+        "wide": {"type": "integer"},
+        "small": {"type": "integer"},
+        "angle": number,
+        "name": text,
+        "perhaps": number,
+        "kind": text,
+        "places": {"type": "array", "items": {"type": "object", "properties": {"x": number}}},
+        "by_name": {"type": "object", "properties": {}},
+    }
+
+
+@pytest.mark.parametrize("schema", [True, NUMBER, OCTETS, {"type": "array", "items": NUMBER}, {}])
+def test_viewers_get_no_schema_where_messages_are_no_objects(schema: Any) -> None:
+    assert viewer_schema(schema) == ""
 
 
 def test_a_recursive_structure_has_an_end() -> None:

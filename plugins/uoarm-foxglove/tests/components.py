@@ -23,6 +23,12 @@ functions:
   loose:
     components:
       - {name: loose, bridge: python, output: {endpoint: ["components:loose"]}}
+  odd:
+    components:
+      - {name: odd, bridge: python, output: {endpoint: ["components:odd"]}}
+  level:
+    components:
+      - {name: level, bridge: python, output: {endpoint: ["components:level"]}}
   doubled:
     components:
       - name: doubler
@@ -74,6 +80,12 @@ class Loose(TypedDict, total=False):
     text: str
 
 
+class Odd(TypedDict):
+    count: int
+    perhaps: float | None
+    pair: tuple[float, str]
+
+
 class Pair(TypedDict):
     a: float
     b: float
@@ -85,6 +97,7 @@ numbers = numbers_script.source(Number)
 picture = pictures_script.source(Picture)
 shown = shown_script.source(Shown)
 loose = loose_script.source(Loose)
+odd, level = Script().source(Odd), Script().source(float)
 taken: list[object] = []
 
 

@@ -7,10 +7,12 @@ import struct
 import time
 from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 import components
 import pytest
 from components import loose_script, numbers_script, pictures_script
+from uoarm_foxglove._catalogue import ChannelCatalogue
 from viewer import SUBPROTOCOLS, Serve, Viewer
 
 from uoarm import RobotManager
@@ -49,6 +51,26 @@ def test_every_output_is_a_channel_with_its_schema(serve: Serve) -> None:
         assert (loose["encoding"], loose["schemaEncoding"]) == ("json", "jsonschema")
         assert json.loads(loose["schema"])["properties"].keys() == {"any_number", "text"}
         assert {"/picture", "/doubled", "/echo", "/note"} < {*viewer.channels}
+
+
+def test_a_schema_says_what_viewers_can_read_of_it(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        odd, level = viewer.channel("/odd"), viewer.channel("/level")
+        fields = {"count": {"type": "integer"}, "perhaps": {"type": "number"}}
+        assert json.loads(odd["schema"]) == {"type": "object", "properties": fields}
+        assert (level["encoding"], level["schema"]) == ("json", "")
+
+
+def test_a_viewer_that_can_be_shown_nothing_is_warned(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def make(*_: object) -> NoReturn:
+        raise ValueError("a fault of this catalogue")
+
+    monkeypatch.setattr(ChannelCatalogue, "make", make)
+    with Viewer(serve()) as viewer:
+        assert "its log says more" in viewer.until("status")["message"]
+    assert "a fault of this catalogue" in caplog.text
 
 
 def test_messages_come_in_the_encoding_of_their_channel(serve: Serve) -> None:

@@ -15,7 +15,7 @@ from uoarm._wire._forms import (
     salvage_id,
     write_or_error,
 )
-from uoarm._wire._text import dump_parts, is_octets, read_text
+from uoarm._wire._text import dump_parts, is_octets, read_text, viewer_schema
 
 __all__ = [
     "ASKED",
@@ -30,6 +30,7 @@ __all__ = [
     "read_binary",
     "read_text",
     "salvage_id",
+    "viewer_schema",
     "write_binary",
     "write_or_error",
 ]

@@ -251,6 +251,40 @@ def text_schema(schema: Schema, depth: int = 0) -> Schema:
     return copied
 
 
+def viewer_schema(schema: Schema) -> str:
+    """Return what viewers are given for the schema of a JSON text; empty: messages are no objects.
+
+    Foxglove and Lichtblick show nothing of a channel where one field has several types, is a tuple
+    or a list of lists. Such fields are left out here, and are in the messages all the same. What
+    may be null, or a text because no JSON number says it, has the type that it has else.
+    """
+    viewed = _viewed(schema, 0)
+    return orjson.dumps(viewed).decode() if viewed and viewed["type"] == "object" else ""
+
+
+def _viewed(schema: object, depth: int) -> dict[str, Any] | None:
+    """Return the same of one part; None: it has no single type."""
+    if not isinstance(schema, Mapping) or depth > _MAX_DEPTH:
+        return None
+    if schema.get("x-octets") is True:
+        return {"type": "string", "contentEncoding": "base64"}
+    some = [part for part in _sequence(schema.get("anyOf")) if part != {"type": "null"}]
+    if len(some) == 1:
+        return _viewed(some[0], depth + 1)
+    kind, values = schema.get("type"), _sequence(schema.get("enum"))
+    if kind == "object":
+        parts = _mapping(schema.get("properties")).items()
+        fields = {name: _viewed(part, depth + 1) for name, part in parts}
+        return {"type": kind, "properties": {name: fields[name] for name in fields if fields[name]}}
+    if kind == "array" and "prefixItems" not in schema:
+        items = _viewed(schema.get("items"), depth + 1)
+        is_listed = items and items["type"] != "array" and "contentEncoding" not in items
+        return {"type": kind, "items": items} if is_listed else None
+    if values and all(isinstance(value, str) for value in values):
+        return {"type": "string"}
+    return {"type": kind} if kind in ("boolean", "integer", "number", "string") else None
+
+
 def make_reader(schema: Schema) -> Callable[[Message], Message] | None:
     """Return a function from a parsed JSON text to the logical value; None: nothing to change.
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.cdr._layout import BASIC, basic_type, number_schema
+from uoarm.cdr._layout import BASIC, DDS, RecordLayout, basic_type, layout_of, number_schema
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
 
@@ -55,6 +55,8 @@ def definition_of(structure: MessageStructure, name: str) -> RosDefinition:
     Raises:
         MessageError: a message file cannot say it.
     """
+    if not isinstance(layout_of(structure.schema, DDS), RecordLayout):
+        raise MessageError(f"{name} has no fields, as each message file has")
     own = structure.native_type if _is_ros(structure.native_type) else name
     waiting: list[tuple[str, object]] = [(own, structure.schema)]
     texts: dict[str, str] = {}
@@ -77,7 +79,7 @@ def _lines(
         if kind is not None and _FIELD_NAME.fullmatch(constant) and "\n" not in str(value):
             yield f"{kind} {constant}={value}\n"
     for field, inner in schema.get("properties", {}).items():
-        if not _FIELD_NAME.fullmatch(field) or not isinstance(inner, Mapping):
+        if not _FIELD_NAME.fullmatch(field):
             raise MessageError(f"{type_name}: a message file has no field {field!r:.80}")
         suffix = ""
         element = inner

@@ -27,6 +27,7 @@ from uoarm._wire import (
     dump_parts,
     read_binary,
     read_text,
+    viewer_schema,
     write_binary,
 )
 from uoarm.model import LeaseHolder, Message, MessageStructure, Plan, StatusEvent, StopReport
@@ -164,6 +165,7 @@ __all__ = [
     "show_approval",
     "show_plan",
     "show_stop",
+    "viewer_schema",
     "visible_status",
     "without_frames",
     "without_secrets",

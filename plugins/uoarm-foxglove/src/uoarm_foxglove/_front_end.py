@@ -113,6 +113,7 @@ class FoxgloveSession:
         }
         client.outbox.reply(write("serverInfo", **info), text=True)
         self._showing = asyncio.ensure_future(self._show())
+        self._showing.add_done_callback(self._take_end)
 
     def octets(self, frame: str | bytes) -> int:
         """Return how much there is to decode."""
@@ -160,6 +161,12 @@ class FoxgloveSession:
                     self._client.outbox.reply(frame, text=True)
             with suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._look_now.wait(), _LOOK_SECONDS)
+
+    def _take_end(self, showing: asyncio.Task[None]) -> None:
+        """Say that the viewer is shown nothing more, where that was not asked for."""
+        error = None if showing.cancelled() else showing.exception()
+        if error is not None:
+            self._fail(error)
 
     def _handle_early(self) -> None:
         early, self._early = self._early or [], None

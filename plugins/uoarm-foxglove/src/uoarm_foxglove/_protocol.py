@@ -14,7 +14,7 @@ from attrs import frozen
 from uoarm import cdr
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, BudgetUse, Message, MessageStructure
-from uoarm.server.front_end import TEXT_FORM, Read, read_message, read_text
+from uoarm.server.front_end import TEXT_FORM, Read, read_message, read_text, viewer_schema
 
 JSON, CDR = "json", "cdr"
 _MESSAGE, _CALL = 1, 2  # of both sides; a server's 2 is the time, which nothing here sends
@@ -191,7 +191,7 @@ def codec_of(structure: MessageStructure, name: str) -> StructureCodec:
         definition = cdr.definition_of(structure, name)
         serialise = cdr.serialiser(structure)
     except MessageError:
-        schema = orjson.dumps(TEXT_FORM.schema(structure.schema)).decode()
+        schema = viewer_schema(structure.schema)
         return StructureCodec(
             JSON, structure.native_type or name, _JSON_SCHEMA, schema, TEXT_FORM.write
         )
