@@ -1,21 +1,27 @@
 """Hostile inputs by name, for tests that attack a running server.
 
-`HOSTILE` has what one client sends. The function `anything` of `tests.server.robot` takes values
-of any structure.
+`HOSTILE` has what one client sends, and `attack_beside` lets another be served meanwhile. The
+function `anything` of `tests.server.robot` takes values of any structure.
 """
 
 from __future__ import annotations
 
+import os
+import threading
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Literal, TypeAlias
 
 from attrs import frozen
+
+from uoarm.server import Server
 
 Form: TypeAlias = Literal["json", "cbor"]
 Frame: TypeAlias = "str | bytes"
 
 LARGEST = 16_777_216 - 1024
 """Octets of the longest frame, which a server takes with its settings as they come."""
+_GLANCE_SECONDS = 0.002
 
 
 @frozen
@@ -153,3 +159,30 @@ HOSTILE: Mapping[str, Hostile] = {
         ),
     ),
 }
+
+
+def resident() -> int:
+    """Return the bytes of memory that this process has."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def attack_beside(server: Server, attack: Callable[[Server], None], ask: Callable[[], None]) -> int:
+    """Attack a server while another client asks it, and return the most octets that it held."""
+    failures: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            attack(server)
+        except BaseException as error:  # noqa: BLE001 - shown by the test
+            failures.append(error)
+
+    attacking = threading.Thread(target=run, daemon=True)
+    attacking.start()
+    held, goes_on = 0, True
+    while goes_on:  # once at least, also where the attack is over before we come to run
+        attacking.join(_GLANCE_SECONDS)  # without a pause it takes what the attack needs
+        goes_on = attacking.is_alive()
+        ask()
+        held = max(held, server.held_octets)
+    assert not failures
+    return held

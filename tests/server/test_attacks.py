@@ -6,16 +6,14 @@ depend on what else the machine does.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 import pytest
 from tests.server.conftest import Serve
-from tests.server.hostile import HOSTILE, Hostile
+from tests.server.hostile import HOSTILE, Hostile, attack_beside, resident
 from tests.server.robot import END, script
 from tests.server.talk import Talk, eventually, frame, open_socket
-from tests.server.test_bounds import resident
 from websockets.frames import Opcode
 
 from uoarm.server import Limits, Server
@@ -25,8 +23,6 @@ MEMORY = 50_000_000
 CPU_SECONDS = 0.2
 """Of the loop, in one step: a tenth of what these took."""
 LONG = 1_000_000
-GLANCE_SECONDS = 0.002
-"""Between two calls of the well-behaved client."""
 
 
 def url(server: Server) -> str:
@@ -105,26 +101,14 @@ def test_a_well_behaved_client_is_served_beside_it(
     serve: Serve, longest_step: Callable[[str], float], attack: Callable[[Server], None]
 ) -> None:
     server = serve(Limits(memory_bytes=MEMORY))
-    failures: list[BaseException] = []
 
-    def run() -> None:
-        try:
-            attack(server)
-        except BaseException as error:  # noqa: BLE001 - shown by the test
-            failures.append(error)
+    def ask() -> None:
+        assert caller.ask("Call", "add", {"a": 1, "b": 2}) == {"value": 3}
 
     with Talk(url(server)) as caller:
-        caller.ask("Call", "add", {"a": 1, "b": 2})
-        before, held = resident(), 0
-        attacking = threading.Thread(target=run, daemon=True)
-        attacking.start()
-        goes_on = True
-        while goes_on:  # once at least, also where the attack is over before we come to run
-            attacking.join(GLANCE_SECONDS)  # a caller without a pause takes what the attack needs
-            goes_on = attacking.is_alive()
-            assert caller.ask("Call", "add", {"a": 1, "b": 2}) == {"value": 3}
-            held = max(held, server.held_octets)
-    assert not failures
+        ask()
+        before = resident()
+        held = attack_beside(server, attack, ask)
     assert 0 < longest_step("uoarm-serve") < CPU_SECONDS
     assert held <= MEMORY
     script.gate.set()

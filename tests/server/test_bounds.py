@@ -7,12 +7,12 @@ import socket
 import struct
 import threading
 from contextlib import ExitStack, suppress
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.server.conftest import Connect, Hurry, Serve
+from tests.server.hostile import resident
 from tests.server.robot import script
 from tests.server.talk import BESIDE, Talk, eventually, frame, open_socket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -26,11 +26,6 @@ from uoarm.testing import patience, slowness
 
 def url(server: Server, path: str = "/") -> str:
     return f"ws://127.0.0.1:{server.ports[0]}{path}"
-
-
-def resident() -> int:
-    """Return the bytes of memory that this process has."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def test_a_client_that_never_reads_costs_bounded_memory_and_starves_no_other(serve: Serve) -> None:

@@ -14,10 +14,11 @@ from typing import Any
 import pytest
 import trustme
 from brokers import Broker, Peer, running
+from tests.inbox import health_events, until  # type: ignore[import-not-found]
 from uoarm_mqtt import _channels, _link
 from uoarm_mqtt._channels import _Call
 
-from uoarm.bridge import Bridge, HealthEvent, Registry, Sink, Source
+from uoarm.bridge import Bridge, Registry, Sink, Source
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -77,17 +78,6 @@ def listen(
 
 def speak(bridge: Bridge, topic: str, **options: Any) -> Sink:
     return bridge.open_sink(endpoint(topic, Role.INPUT, **options), ANYTHING)
-
-
-def health_events(bridge: Bridge) -> list[HealthEvent]:
-    events: list[HealthEvent] = []
-    bridge.watch(events.append)
-    return events
-
-
-def until(events: list[HealthEvent], health: Health) -> HealthEvent:
-    wait(lambda: any(event.health is health for event in events), f"{health}: {events}", patience())
-    return next(event for event in events if event.health is health)
 
 
 class TestTopics:

@@ -8,8 +8,8 @@ from typing import Any
 from peers import Peer
 
 from uoarm import Connection
-from uoarm.bridge import Bridge, Channel, HealthEvent, Sink, Source
-from uoarm.model import Endpoint, Health, Role
+from uoarm.bridge import Bridge, Channel, Sink, Source
+from uoarm.model import Endpoint, Role
 from uoarm.testing import patience, wait
 
 INT64 = "std_msgs/msg/Int64"
@@ -66,45 +66,3 @@ def await_quiet_watch(out: Sink) -> None:
     """
     wait(lambda: any(thread.name.endswith(" quiet") for thread in threading.enumerate()))
     out.close()
-
-
-class Inbox:
-    """Collects messages and waits for a number of them, or for one."""
-
-    def __init__(self) -> None:
-        self.messages: list[Any] = []
-        self._changed = threading.Condition()
-
-    def __call__(self, message: Any) -> None:
-        with self._changed:
-            self.messages.append(message)
-            self._changed.notify_all()
-
-    def numbers(self) -> list[int]:
-        return [message["data"] for message in self.messages]
-
-    def wait_for(self, count: int, timeout: float = patience()) -> list[Any]:
-        """Wait for so many, as long as within each `timeout` some more come."""
-        with self._changed:
-            while len(self.messages) < count:
-                before = len(self.messages)
-                self._changed.wait_for(lambda: len(self.messages) >= count, timeout)
-                assert len(self.messages) > before, f"{before} of {count} messages"
-            return list(self.messages)
-
-    def wait_until(self, wanted: Any, timeout: float = patience()) -> Any:
-        """Wait for a message of which `wanted` is true."""
-
-        def found() -> Any:
-            return next((message for message in self.messages if wanted(message)), None)
-
-        with self._changed:
-            assert self._changed.wait_for(lambda: found() is not None, timeout), self.messages
-            return found()
-
-    def event(self, health: Health, words: str) -> HealthEvent:
-        """Wait for a health event with these words in its cause."""
-        event: HealthEvent = self.wait_until(
-            lambda item: item.health is health and words in item.cause
-        )
-        return event

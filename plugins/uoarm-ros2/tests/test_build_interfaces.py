@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from endpoints import Inbox, endpoint, source
+from endpoints import endpoint, source
 from peers import own_line
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_ros2._interface_sources import in_build_order, packages_in
 from uoarm_ros2._interface_wheels import write_wheel

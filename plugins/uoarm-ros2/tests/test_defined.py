@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import Inbox, endpoint, known, sink, source
+from endpoints import endpoint, known, sink, source
 from messages import same
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._type_finder import DefinedTypes
 from uoarm_ros2._types import import_type, shape_of, type_hash

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import INT64, Inbox, endpoint, known, sink, source
+from endpoints import INT64, endpoint, known, sink, source
 from messages import default_of
 from peers import MORTAL, Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import Inbox, endpoint, known, sink, source
+from endpoints import endpoint, known, sink, source
 from messages import same
 from peers import DOMAIN, Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2 import _type_finder
 from uoarm_ros2._middleware import Participant, untyped_class
 from uoarm_ros2._middleware import Peer as End_

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 from attrs import evolve
-from endpoints import INT64, Inbox, endpoint
+from endpoints import INT64, endpoint
 from messages import default_of
 from peers import MORTAL, OPTIONS, Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._managed_nodes import ManagedNode, NodeAccess, NodeRequirement, Transition
 from uoarm_ros2._types import import_type
 

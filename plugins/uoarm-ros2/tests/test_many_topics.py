@@ -8,8 +8,9 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import INT64, Inbox, endpoint, source
+from endpoints import INT64, endpoint, source
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner
 from uoarm_ros2._middleware import Peer as TopicEndpoint
 from uoarm_ros2._qos import Policies

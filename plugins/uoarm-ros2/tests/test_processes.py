@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import INT64, Inbox, await_quiet_watch, endpoint, sink, source
+from endpoints import INT64, await_quiet_watch, endpoint, sink, source
 from peers import DOMAIN, Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import _loop
 from uoarm_ros2._middleware._wait_set import WaitSet

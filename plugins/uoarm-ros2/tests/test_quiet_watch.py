@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from endpoints import Inbox
 from peers import DOMAIN, Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner, Participant, _loop
 from uoarm_ros2._qos import Policies
 from uoarm_ros2._schema import structure_of

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from endpoints import INT64, Inbox, endpoint, reaches, source
+from endpoints import INT64, endpoint, reaches, source
 from peers import OPTIONS, Peer
 from rclpy.serialization import serialize_message
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2 import _diagnostics
 from uoarm_ros2._diagnostics import Allowance, Entry, EntryHealth, read_array
 

@@ -10,9 +10,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from endpoints import INT64, Inbox, endpoint, known, sink, source
+from endpoints import INT64, endpoint, known, sink, source
 from messages import default_of
 from peers import DOMAIN, MORTAL, OPTIONS, Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2 import _services
 from uoarm_ros2._actions import Action
 from uoarm_ros2._discovery import Ros2Graph

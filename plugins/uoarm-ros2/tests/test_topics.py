@@ -14,8 +14,9 @@ from typing import Any
 
 import pytest
 from attrs import evolve
-from endpoints import INT64, Inbox, await_quiet_watch, endpoint, known, matched, sink, source
+from endpoints import INT64, await_quiet_watch, endpoint, known, matched, sink, source
 from peers import DOMAIN, MORTAL, Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner, _native
 
 from uoarm.bridge import Bridge

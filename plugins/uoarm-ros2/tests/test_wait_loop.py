@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from endpoints import Inbox
 from peers import DOMAIN, Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner, Participant, _actions, _loop
 from uoarm_ros2._middleware._wait_set import WaitSet
 from uoarm_ros2._qos import Policies

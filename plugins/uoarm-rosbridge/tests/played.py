@@ -10,7 +10,7 @@ from typing import Any
 
 from websockets.sync.server import ServerConnection, serve
 
-from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec, Endpoint, Role
 from uoarm.testing import patience
 
@@ -107,12 +107,6 @@ def bridge_to(address: str, **options: object) -> Iterator[Bridge]:
         yield bridge
     finally:
         bridge.close()
-
-
-def seen(bridge: Bridge) -> list[HealthEvent]:
-    events: list[HealthEvent] = []
-    bridge.watch(events.append)
-    return events
 
 
 def asked(played: Played, op: str) -> list[Any]:

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-import socket
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
 from typing_extensions import Self
-from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
 
 from uoarm import RobotManager
-from uoarm.model import Budget, BudgetUse, ConnectionState
+from uoarm.model import Budget, BudgetUse
 from uoarm.server import Server
 from uoarm.server.front_end import read_binary
-from uoarm.testing import patience, wait
+from uoarm.testing import patience
 
 SECONDS = patience()
 
@@ -78,40 +76,6 @@ Serve = Callable[..., Server]
 Enter = Callable[[], Ros]
 
 
-def eventually(condition: Callable[[], object], what: str) -> None:
-    """Wait until something is so; fail with its name when it does not come about."""
-    wait(condition, f"never: {what}")
-
-
-def opened(robot: RobotManager, count: int) -> None:
-    """Wait until so many connections run, and no others are there."""
-
-    def all_run() -> bool:
-        states = [connection.state for connection in robot.status().connections]
-        return states == [ConnectionState.RUNNING] * count
-
-    eventually(all_run, f"{count} are open")
-
-
 def end(robot: RobotManager) -> None:
     """End the first connection, as the application may."""
     robot.connections()[0].kill()
-
-
-def open_socket(port: int) -> socket.socket:
-    """Return a socket after its handshake, without anything that would read from it."""
-    plain = socket.create_connection(("127.0.0.1", port), timeout=patience())
-    plain.sendall(
-        f"GET /rosbridge HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
-        "Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
-    )
-    answer = b""
-    while b"\r\n\r\n" not in answer:
-        answer += plain.recv(1)
-    assert answer.startswith(b"HTTP/1.1 101")
-    return plain
-
-
-def frame(data: bytes, opcode: Opcode = Opcode.TEXT) -> bytes:
-    return Frame(opcode, data).serialize(mask=True)

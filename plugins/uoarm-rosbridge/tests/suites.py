@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ros import eventually
+from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import BridgeError
@@ -61,7 +61,7 @@ class EitherSuite:
         sent: list[Message] = [{"data": f"Kia ora ä {number}"} for number in range(200)]
         for message in sent:  # one at a time: of a burst the server loses some, and does not say so
             sink.send(message)
-            eventually(lambda message=message: collector.messages[-1] == message, "it comes")  # type: ignore[misc]
+            eventually(lambda message=message: collector.messages[-1] == message, "it comes")
         assert [message for message in collector.messages if message != {"data": "first"}] == sent
         assert sink.drain(patience())
 

@@ -9,8 +9,9 @@ from collections.abc import Callable
 
 import components
 import pytest
-from ros import Enter, Ros, Serve, eventually, opened, url
+from ros import Enter, Ros, Serve, url
 from tests.server.robot import numbers, script  # type: ignore[import-not-found]
+from tests.server.talk import eventually, opened  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.server import Limits

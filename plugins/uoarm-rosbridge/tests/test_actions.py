@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 from components import Walker, cancelled
-from ros import Enter, Ros, Serve, end, eventually, url
+from ros import Enter, Ros, Serve, end, url
 from tests.server.robot import script  # type: ignore[import-not-found]
+from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.server import Limits, Server

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import threading
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
 
 import pytest
-from ros import Ros, Serve, eventually, url
+from ros import Ros, Serve, url
+from tests.server.hostile import attack_beside, resident  # type: ignore[import-not-found]
+from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm.server import Limits, Server
 
@@ -63,11 +62,6 @@ def test_it_is_refused_and_the_session_goes_on(
     assert all(len(json.dumps(answer)) < 600 for answer in received)
 
 
-def resident() -> int:
-    """Return the bytes of memory that this process has."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
 def small_objects(server: Server) -> None:
     with Ros(url(server)) as client:
         for frame in HOSTILE["small objects"]():
@@ -89,25 +83,14 @@ def test_a_well_behaved_client_is_served_beside_it(
     serve: Serve, longest_step: Callable[[str], float], attack: Callable[[Server], None]
 ) -> None:
     server = serve(Limits(memory_bytes=MEMORY))
-    failures: list[BaseException] = []
 
-    def run() -> None:
-        try:
-            attack(server)
-        except BaseException as error:  # noqa: BLE001 - shown by the test
-            failures.append(error)
+    def ask() -> None:
+        assert caller.call("/uoarm/add", [1, 2]) == {"value": 3}
 
     with Ros(url(server)) as caller:
-        caller.call("/uoarm/add", [1, 2])
-        before, held = resident(), 0
-        attacking = threading.Thread(target=run, daemon=True)
-        attacking.start()
-        goes_on = True
-        while goes_on:  # once at least, also where the attack is over before we come to run
-            goes_on = attacking.is_alive()
-            assert caller.call("/uoarm/add", [1, 2]) == {"value": 3}
-            held = max(held, server.held_octets)
-    assert not failures
+        ask()
+        before = resident()
+        held = attack_beside(server, attack, ask)
     assert 0 < longest_step("uoarm-serve") < CPU_SECONDS
     # What arrives is counted from its first octet. As memory is full, a client may have as much
     # waiting as the largest message has, one message more, and the one that is acted on.

@@ -11,8 +11,9 @@ import time
 from typing import Any
 
 import pytest
-from ros import Enter, opened
+from ros import Enter
 from tests.server.robot import script  # type: ignore[import-not-found]
+from tests.server.talk import opened  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.model import MessageStructure

@@ -12,8 +12,10 @@ from typing import Any
 import pytest
 import trustme
 from attrs import evolve
-from played import LISTEN, TALK, Played, asked, bridge_to, seen
-from ros import Serve, eventually, url
+from played import LISTEN, TALK, Played, asked, bridge_to
+from ros import Serve, url
+from tests.inbox import health_events  # type: ignore[import-not-found]
+from tests.server.talk import eventually  # type: ignore[import-not-found]
 from uoarm_rosbridge.client import _connection, _options
 from uoarm_rosbridge.client._options import ClientOptions, Port, mistake
 from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
@@ -150,7 +152,7 @@ def test_what_the_server_refuses_is_said(played: Played) -> None:
 
     played.on = refuse  # type: ignore[method-assign]  # what a test replaces
     with bridge_to(played.url) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         structure = bridge.describe(LISTEN).message
         assert structure is not None
         sink = bridge.open_sink(LISTEN, structure)

@@ -10,8 +10,9 @@ from itertools import count
 from typing import Any
 
 import pytest
-from played import LISTEN, STRING, TALK, Played, asked, bridge_to, seen
-from ros import eventually
+from played import LISTEN, STRING, TALK, Played, asked, bridge_to
+from tests.inbox import health_events  # type: ignore[import-not-found]
+from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
@@ -39,7 +40,7 @@ def test_what_stands_is_there_again_and_nothing_comes_twice(played: Played) -> N
     played.answers |= {"service_request_details": details, "service_response_details": details}
     collector = Collector()
     with bridge_to(played.url, grace=LONG) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         source = bridge.open_source(TALK, structure(bridge), collector.deliver)
         sink = bridge.open_sink(LISTEN, structure(bridge, LISTEN))
         bridge.serve(SET, lambda request: request)
@@ -68,7 +69,7 @@ def test_what_stands_is_there_again_and_nothing_comes_twice(played: Played) -> N
 
 def test_what_was_closed_meanwhile_is_not_there_again(played: Played) -> None:
     with bridge_to(played.url, grace=LONG) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         source = bridge.open_source(TALK, structure(bridge), Collector().deliver)
         played.stop()
         eventually(lambda: events, "the break is reported")
@@ -90,7 +91,7 @@ def test_a_message_that_stands_is_not_delivered_again(played: Played) -> None:
 
     played.on = stand  # type: ignore[method-assign]  # what a test replaces
     with bridge_to(played.url, grace=LONG) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         made = structure(bridge)
         bridge.open_source(keeping, made, latched.deliver)
         assert latched.wait(1) == [{"data": "map"}]
@@ -106,7 +107,7 @@ def test_a_message_that_stands_is_not_delivered_again(played: Played) -> None:
 
 def test_a_break_that_lasts_is_a_loss_once(played: Played) -> None:
     with bridge_to(played.url, grace=0.2) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         bridge.open_source(TALK, structure(bridge), Collector().deliver)
         played.stop()
         eventually(lambda: len(events) == 2, "it is lost")
@@ -121,7 +122,7 @@ def test_a_server_that_hangs_is_reported_and_not_logged_by_the_library(
 ) -> None:
     port = int(played.url.rpartition(":")[2])
     with Proxy(port) as proxy, bridge_to(f"ws://127.0.0.1:{proxy.port}", silence=2.0) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         bridge.open_source(TALK, structure(bridge), Collector().deliver)
         proxy.hold(to_client=True)
         eventually(lambda: events, "its silence is reported")
@@ -132,7 +133,7 @@ def test_a_server_that_hangs_is_reported_and_not_logged_by_the_library(
 
 def test_a_server_that_is_another_one_now_loses_what_has_another_type(played: Played) -> None:
     with bridge_to(played.url, grace=LONG) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         source = bridge.open_source(TALK, structure(bridge), Collector().deliver)
         other = {**STRING, "fieldtypes": ["int32"]}
         played.answers["message_details"] = {"typedefs": [other]}
@@ -153,7 +154,7 @@ def test_nodes_that_come_back_after_the_connection_are_waited_for(played: Played
 
     played.answers["get_param"] = value
     with bridge_to(played.url, grace=LONG) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         bridge.open_source(SPEED, structure(bridge, SPEED), Collector().deliver)
         bridge.open_source(TALK, structure(bridge), Collector().deliver)
         played.answers["publishers"] = {"publishers": []}
@@ -166,7 +167,7 @@ def test_nodes_that_come_back_after_the_connection_are_waited_for(played: Played
 
 def test_nodes_that_do_not_come_back_are_lost(played: Played) -> None:
     with bridge_to(played.url, grace=0.2) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         source = bridge.open_source(TALK, structure(bridge), Collector().deliver)
         played.answers["publishers"] = {"publishers": []}
         played.sockets[-1].close()
@@ -275,7 +276,7 @@ def test_calls_after_one_without_a_reply_are_replied_to(played: Played) -> None:
 def test_a_parameter_that_is_gone_is_lost_alone_and_comes_back(played: Played) -> None:
     played.answers["get_param"] = {"value": "7"}
     with bridge_to(played.url) as bridge:
-        events, made = seen(bridge), structure(bridge, SPEED)
+        events, made = health_events(bridge), structure(bridge, SPEED)
         speed = bridge.open_source(SPEED, made, Collector().deliver)
         bridge.open_source(TALK, structure(bridge), Collector().deliver)
         played.answers["get_param"] = {"value": ""}
@@ -292,7 +293,7 @@ def test_a_parameter_that_is_gone_is_lost_alone_and_comes_back(played: Played) -
 def test_a_message_that_is_too_large_is_a_loss_with_its_limit(played: Played) -> None:
     """It would come again with each connection: that is no break which passes."""
     with bridge_to(played.url, grace=LONG, max_octets=1000) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         bridge.open_source(TALK, structure(bridge), Collector().deliver)
         publish(played, "x" * 100_000)
         eventually(lambda: events, "it is lost")
@@ -306,7 +307,7 @@ def test_a_message_that_the_server_ends_the_connection_for_is_not_sent_again(
     """It has no operation that states its limit: here a megabyte, ten of rosbridge_suite."""
     long = {"data": "x" * 2_000_000}
     with bridge_to(played.url, grace=LONG) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         sink = bridge.open_sink(LISTEN, structure(bridge, LISTEN))
         with suppress(BridgeError):
             sink.send(long)
@@ -328,7 +329,7 @@ def test_a_message_that_the_server_ends_the_connection_for_is_not_sent_again(
 def test_what_cannot_be_read_is_said_once_until_something_can(played: Played) -> None:
     collector = Collector()
     with bridge_to(played.url) as bridge:
-        events = seen(bridge)
+        events = health_events(bridge)
         bridge.open_source(TALK, structure(bridge), collector.deliver)
         for octets in ("{", b"\xff\xff", "[1, ", json.dumps([1]) + "]"):
             played.sockets[-1].send(octets)
@@ -344,7 +345,7 @@ def test_what_did_not_open_does_not_stand(played: Played) -> None:
             socket.close()
 
     with bridge_to(played.url, grace=LONG) as bridge:
-        events, made = seen(bridge), structure(bridge)
+        events, made = health_events(bridge), structure(bridge)
         played.on = on  # type: ignore[method-assign]  # what a test replaces
         with pytest.raises(BridgeError):
             bridge.open_source(TALK, made, Collector().deliver)

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 from played import STRING, Played, asked, bridge_to
-from ros import Ros, Serve, eventually, url
+from ros import Ros, Serve, url
+from tests.server.talk import eventually  # type: ignore[import-not-found]
 from uoarm_rosbridge.client import _goals
 from websockets.sync.server import ServerConnection
 

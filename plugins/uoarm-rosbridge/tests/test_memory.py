@@ -7,8 +7,9 @@ import threading
 import urllib.request
 
 import pytest
-from ros import Enter, Ros, Serve, eventually, frame, open_socket, opened, url
+from ros import Enter, Ros, Serve, url
 from tests.server.robot import script  # type: ignore[import-not-found]
+from tests.server.talk import eventually, frame, open_socket, opened  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.server import Limits, Server
@@ -96,7 +97,7 @@ def test_messages_held_back_for_a_slow_rate_are_bounded_in_octets(serve: Serve) 
 def test_a_provider_that_does_not_read_is_not_cut_off_by_those_who_ask_it(serve: Serve) -> None:
     server = serve(Limits(queue_bytes=3_000_000, stall_seconds=60, ping_seconds=60))
     with (
-        open_socket(server.ports[0]) as provider,
+        open_socket(server.ports[0], "/rosbridge") as provider,
         Ros(url(server)) as asker,
         Ros(url(server)) as other,
     ):

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from ros import Enter, Ros, Serve, end, eventually, opened, url
+from ros import Enter, Ros, Serve, end, url
 from tests.server.robot import END, script  # type: ignore[import-not-found]
+from tests.server.talk import eventually, opened  # type: ignore[import-not-found]
 from uoarm_rosbridge._wire import Fragments
 
 from uoarm import RobotManager

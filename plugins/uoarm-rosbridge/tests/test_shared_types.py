@@ -11,7 +11,8 @@ from typing import Any, cast
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ros import Ros, eventually, url
+from ros import Ros, url
+from tests.server.talk import eventually  # type: ignore[import-not-found]
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._publication import SharedPublication
 from uoarm_rosbridge._types import read_arguments

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros import eventually
 from suites import HEIGHT, WIDTH, EitherSuite, at, is_there, made, stream
+from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
@@ -75,7 +75,7 @@ def test_messages_come_with_their_types(compression: str) -> None:
     pictures, scans = Collector(), Collector()
     for name, to in (("picture", pictures), ("scan", scans)):
         source = at(Role.OUTPUT, f"/behind/{name}")
-        eventually(lambda source=source: is_there(bridge, source), "the node is there")  # type: ignore[misc]
+        eventually(lambda source=source: is_there(bridge, source), "the node is there")
         bridge.open_source(source, stream(bridge, source), to.deliver)
     picture: Any = pictures.wait(1)[0]
     assert picture["data"] == bytes(index % 256 for index in range(WIDTH * HEIGHT))

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros import eventually
 from suites import HEIGHT, WIDTH, EitherSuite, at, made, stream
+from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import BridgeError, BridgeTimeoutError

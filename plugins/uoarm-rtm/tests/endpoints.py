@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from typing import Any
 
 from uoarm_rtm._orb import limit
 
-from uoarm.bridge import Bridge, Channel, HealthEvent
-from uoarm.model import Endpoint, Health, Role
+from uoarm.bridge import Bridge, Channel
+from uoarm.model import Endpoint, Role
 from uoarm.testing import patience, slowness, wait
 
 # As `call_timeout`, the longest there is: what answers late on a busy machine has not failed.
@@ -67,44 +66,3 @@ def checked(bridge: Bridge, path: str = "") -> None:
         return not path or conditions.get(path) == "alive"
 
     wait(is_checked)
-
-
-class Inbox:
-    """Collects messages or events, and waits for a number of them, or for one."""
-
-    def __init__(self) -> None:
-        self.messages: list[Any] = []
-        self._changed = threading.Condition()
-
-    def __call__(self, message: Any) -> None:
-        with self._changed:
-            self.messages.append(message)
-            self._changed.notify_all()
-
-    def numbers(self) -> list[int]:
-        return [message["data"] for message in self.messages]
-
-    def wait_for(self, count: int, timeout: float = patience()) -> list[Any]:
-        """Wait for so many, as long as within each `timeout` some more come."""
-        with self._changed:
-            while len(self.messages) < count:
-                before = len(self.messages)
-                self._changed.wait_for(lambda: len(self.messages) >= count, timeout)
-                assert len(self.messages) > before, f"{before} of {count} messages"
-            return list(self.messages)
-
-    def event(self, health: Health, words: str, timeout: float = patience()) -> HealthEvent:
-        """Wait for a health event with these words in its cause."""
-
-        def found() -> HealthEvent | None:
-            for message in self.messages:
-                if message.health is health and words in message.cause:
-                    event: HealthEvent = message
-                    return event
-            return None
-
-        with self._changed:
-            assert self._changed.wait_for(lambda: found() is not None, timeout), self.messages
-            event = found()
-            assert event is not None
-            return event

@@ -22,7 +22,7 @@ from uoarm.testing import wait
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from endpoints import Inbox
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._shape import IdlEnum, IdlScalar, IdlSequence, IdlString, IdlStruct, IdlUnion, Shape
 
 from uoarm.bridge import Bridge, Registry

@@ -9,10 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
-from endpoints import Inbox, endpoint, sink, source, stamped
+from endpoints import endpoint, sink, source, stamped
 from hypothesis import given
 from hypothesis import strategies as st
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._dataflow import Buffer
 from uoarm_rtm._options import BufferPolicy, RtmEndpointOptions, buffer_policy, push_policy
 

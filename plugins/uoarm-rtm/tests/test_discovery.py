@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, Inbox, checked, endpoint
+from endpoints import ANSWERS, checked, endpoint
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm import _discovery, _orb
 from uoarm_rtm._discovery import Directory, DirectoryEntry, DirectoryMonitor

@@ -16,7 +16,6 @@ from endpoints import (
     ANSWERS,
     HANGS_AFTER,
     SHORT,
-    Inbox,
     checked,
     endpoint,
     sink,
@@ -24,6 +23,7 @@ from endpoints import (
     stamped,
 )
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm import _peer, nameserver
 from uoarm_rtm._channels import OutPortSource
@@ -332,7 +332,8 @@ SHUTDOWN = """
 import sys
 sys.path.insert(0, {here!r})
 import pytest
-from endpoints import Inbox, endpoint, sink, source
+from endpoints import endpoint, sink, source
+from tests.inbox import Inbox
 from uoarm.bridge import Registry
 from uoarm.errors import BridgeError
 from uoarm.model import BridgeSpec, Role
@@ -384,7 +385,8 @@ def test_a_process_that_closes_no_bridge_ends(nameserver: str, peer: Start, endi
     script = f"""
 import contextlib, signal, sys, threading
 sys.path.insert(0, {str(HERE)!r})
-from endpoints import Inbox, endpoint, sink, source, stamped
+from endpoints import endpoint, sink, source, stamped
+from tests.inbox import Inbox
 from uoarm.bridge import Registry
 from uoarm.errors import BridgeError
 from uoarm.model import BridgeSpec, Role

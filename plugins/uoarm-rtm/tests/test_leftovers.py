@@ -12,8 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from endpoints import ANSWERS, HANGS_AFTER, Inbox, endpoint, source
+from endpoints import ANSWERS, HANGS_AFTER, endpoint, source
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._journal import Journal, JournalEntry, journal
 
 from uoarm.bridge import Bridge
@@ -26,7 +27,8 @@ Start = Callable[..., Peer]
 OPENS = """
 import os, signal, sys
 sys.path.insert(0, {here!r})
-from endpoints import ANSWERS, Inbox, endpoint, sink, source
+from endpoints import ANSWERS, endpoint, sink, source
+from tests.inbox import Inbox
 from uoarm.bridge import Registry
 from uoarm.model import BridgeSpec, Role
 from uoarm.testing import patience

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, HANGS_AFTER, Inbox, of, shorten, stamped
+from endpoints import ANSWERS, HANGS_AFTER, of, shorten, stamped
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge, Channel, HealthEvent

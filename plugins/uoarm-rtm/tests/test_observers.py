@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import Inbox, of, source
+from endpoints import of, source
 from peers import Peer
 from test_leftovers import holding
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge
 from uoarm.model import Health, Role

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, Inbox, endpoint, sink, source, stamped
+from endpoints import ANSWERS, endpoint, sink, source, stamped
 from peers import Peer
 from plain import plain
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.structures import closed  # type: ignore[import-not-found]
 
 from uoarm import RobotManager

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from attrs import evolve
-from endpoints import Inbox, endpoint, sink, source, stamped
+from endpoints import endpoint, sink, source, stamped
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError

@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 from _uoarm_rtm_stubs import RTC
 from attrs import evolve
-from endpoints import HANGS_AFTER, Inbox, endpoint, sink, source, stamped
+from endpoints import HANGS_AFTER, endpoint, sink, source, stamped
 from jsonschema import Draft202012Validator
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm import _bridge
 from uoarm_rtm._own_component import OwnComponent
 from uoarm_rtm._peer import pairs

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import Inbox, endpoint, sink, source, stamped
+from endpoints import endpoint, sink, source, stamped
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm import _orb
 
 from uoarm.bridge import Bridge

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, Inbox, of, sink, source, stamped
+from endpoints import ANSWERS, of, sink, source, stamped
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._orb import calls
 
 from uoarm import RobotManager

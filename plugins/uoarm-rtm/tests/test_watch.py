@@ -9,8 +9,9 @@ from functools import partial
 from itertools import pairwise
 
 import pytest
-from endpoints import HANGS_AFTER, Inbox, checked, of, sink
+from endpoints import HANGS_AFTER, checked, of, sink
 from peers import Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._health import PortFault, PortStatus, blamed
 from uoarm_rtm._peer import Connector
 from uoarm_rtm._watch import Check, CheckQueue, Ticker

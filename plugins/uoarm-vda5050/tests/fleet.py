@@ -10,9 +10,9 @@ from typing import Any
 from brokers import Broker
 from uoarm_vda5050.vehicle import Act, Drive, Task, Vehicle
 
-from uoarm.bridge import Bridge, HealthEvent, Registry
-from uoarm.model import BridgeSpec, Endpoint, Health, Role
-from uoarm.testing import patience, wait
+from uoarm.bridge import Bridge, Registry
+from uoarm.model import BridgeSpec, Endpoint, Role
+from uoarm.testing import patience
 
 MAKER = "uoa"
 _PARTS = {"goal": Role.INPUT, "cancel": Role.INPUT}
@@ -35,17 +35,6 @@ def bridge_to(broker: Broker, **options: Any) -> Iterator[Bridge]:
         yield made
     finally:
         made.close(timeout=patience())
-
-
-def health_events(bridge: Bridge) -> list[HealthEvent]:
-    events: list[HealthEvent] = []
-    bridge.watch(events.append)
-    return events
-
-
-def until(events: list[HealthEvent], health: Health) -> HealthEvent:
-    wait(lambda: any(event.health is health for event in events), f"{health}: {events}", patience())
-    return next(event for event in events if event.health is health)
 
 
 def goal(*nodes: str, order: str = "", **actions: str) -> dict[str, Any]:

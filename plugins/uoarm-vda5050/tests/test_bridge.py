@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 from brokers import Broker
+from tests.inbox import health_events, until  # type: ignore[import-not-found]
 from uoarm_vda5050.vehicle import Vehicle
 
-from fleet import bridge_to, driven, endpoint, goal, health_events, until
+from fleet import bridge_to, driven, endpoint, goal
 from uoarm.errors import BridgeError
 from uoarm.model import Health, MessageStructure
 from uoarm.testing import Collector, patience, wait
