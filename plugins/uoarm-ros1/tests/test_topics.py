@@ -103,7 +103,7 @@ def test_a_message_beyond_the_budget_ends_the_connection_and_is_said(
         reports = Reports(bridge)
         opened(bridge, output("/beyond"))
         lasting.publish("/beyond", type="std_msgs/String", values={"data": "x" * 2000})
-        assert "1,000 are allowed" in reports.wait(Health.LOST).cause
+        assert "1,000 are allowed (max_octets)" in reports.wait(Health.LOST).cause
 
 
 def test_a_latched_message_comes_first_from_every_publisher(master: Master) -> None:

@@ -209,7 +209,8 @@ class TcprosReader:
         while self._filled - at >= _LENGTH.size:
             (length,) = _LENGTH.unpack_from(stage, at)
             if length > self.most:
-                raise ProtocolError(f"a message of {length:,} octets; {self.most:,} are allowed")
+                allowed = f"{self.most:,} are allowed (max_octets)"
+                raise ProtocolError(f"a message of {length:,} octets; {allowed}")
             start = at + _LENGTH.size
             end = start + length
             if end > self._filled:
@@ -251,7 +252,8 @@ class ReplyReader:
             return None
         (length,) = _LENGTH.unpack_from(self._octets, 1)
         if length > self._most:
-            raise ProtocolError(f"a reply of {length:,} octets; {self._most:,} are allowed")
+            allowed = f"{self._most:,} are allowed (max_octets)"
+            raise ProtocolError(f"a reply of {length:,} octets; {allowed}")
         if len(self._octets) < head + length:
             return None
         if len(self._octets) > head + length:
