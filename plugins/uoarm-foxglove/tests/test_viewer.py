@@ -156,6 +156,18 @@ def test_what_a_viewer_publishes_reaches_the_input(
         wait(lambda: len(components.taken) == 2, "the next one is lost", patience())
 
 
+def test_octets_of_another_type_of_ros_reach_no_input(serve: Serve) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.channel("/echo")
+        for number, name in enumerate(("std_msgs/msg/Float32", "std_msgs/Int32")):
+            stated = {"topic": "/echo", "encoding": "cdr", "schemaName": name}
+            viewer.send("advertise", channels=[{"id": number, **stated}])
+        viewer.publish(0, HEADER + struct.pack("<f", 0.5))
+        assert "expected a message of std_msgs/msg/Int32" in viewer.until("status")["message"]
+        viewer.publish(1, int32(7))
+        wait(lambda: components.taken == [{"data": 7}], "nothing arrived", patience())
+
+
 @pytest.mark.parametrize(
     ("fields", "text"),
     [

@@ -262,6 +262,7 @@ class FoxgloveSession:
         def advertise(asked: Fields) -> None:
             number, name = number_of(asked, "id"), text_of(asked, "topic")
             encoding = text_of(asked, "encoding")
+            stated = text_of(asked, "schemaName") if "schemaName" in asked else ""
             topic = self._listing.inputs.get(name if name.startswith("/") else f"/{name}")
             if topic is None:
                 raise ControlMessageError(
@@ -277,7 +278,7 @@ class FoxgloveSession:
                 topic.function,
                 topic.function,
                 topic.port,
-                read_as(encoding, self._client.limits.budget),
+                read_as(encoding, self._client.limits.budget, stated),
                 self._backend,
                 self._client,
                 on_ended=functools.partial(self._publication_ended, number),

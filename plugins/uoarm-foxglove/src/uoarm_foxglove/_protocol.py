@@ -202,15 +202,22 @@ def codec_of(structure: MessageStructure, name: str) -> StructureCodec:
     return StructureCodec(CDR, definition.name, _ROS_2, definition.text, write)
 
 
-def read_as(encoding: str, budget: Budget) -> Read:
+def read_as(encoding: str, budget: Budget, stated: str = "") -> Read:
     """Return what decodes octets of a client by the structure of where they go.
+
+    Args:
+        encoding: of the octets.
+        budget: what one message may cost.
+        stated: the type that the client says they are of; empty: it says none.
 
     Raises:
         MessageError: the encoding is not served.
     """
     if encoding not in (CDR, JSON):
         raise MessageError(f"the encoding {encoding!r:.60} is not served: expected cdr or json")
-    return functools.partial(_read_cdr if encoding == CDR else _read_json, budget)
+    if encoding == JSON:
+        return functools.partial(_read_json, budget)
+    return functools.partial(_read_cdr, budget, stated)
 
 
 def _read_json(budget: Budget, structure: MessageStructure, payload: Message) -> Message:
@@ -222,8 +229,18 @@ def _read_json(budget: Budget, structure: MessageStructure, payload: Message) ->
     return read_message(TEXT_FORM, structure, read_text(text, BudgetUse(budget)))
 
 
-def _read_cdr(budget: Budget, structure: MessageStructure, payload: Message) -> Message:
+def _read_cdr(
+    budget: Budget, stated: str, structure: MessageStructure, payload: Message
+) -> Message:
     assert isinstance(payload, bytes)
+    own = structure.native_type
+    # In CDR nothing else distinguishes a float from an integer, a velocity from a position.
+    if (
+        "/msg/" in own
+        and "/" in stated
+        and stated.replace("/msg/", "/") != own.replace("/msg/", "/")
+    ):
+        raise MessageError(f"expected a message of {own}, got one of {stated}")
     return _deserialiser(structure, budget)(payload)
 
 
