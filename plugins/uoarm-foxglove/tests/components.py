@@ -97,7 +97,7 @@ numbers = numbers_script.source(Number)
 picture = pictures_script.source(Picture)
 shown = shown_script.source(Shown)
 loose = loose_script.source(Loose)
-odd, level = Script().source(Odd), Script().source(float)
+odd, level, words = Script().source(Odd), Script().source(float), Script().source(str)
 taken: list[object] = []
 
 

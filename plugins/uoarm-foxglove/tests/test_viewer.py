@@ -234,6 +234,18 @@ def test_a_changed_robot_is_announced(serve: Serve, robot: RobotManager) -> None
         assert viewer.channel("/later")["id"] != gone
 
 
+def test_another_type_is_announced_though_neither_has_a_schema(
+    serve: Serve, robot: RobotManager
+) -> None:
+    with Viewer(serve()) as viewer:
+        gone = viewer.channel("/level")
+        text = components.CONFIGURATION.replace("components:level", "components:words")
+        robot.apply(loads(text, origin=str(Path(__file__).parent / "robot.yaml")))
+        assert viewer.until("unadvertise")["channelIds"] == [gone["id"]]
+        viewer.until("advertise")
+        assert viewer.channels["/level"]["schemaName"] == "str"
+
+
 def test_a_role_sees_and_does_what_it_may(serve: Serve, tmp_path: Path) -> None:
     access, token = tmp_path / "access.yaml", make_token()
     access.write_text(

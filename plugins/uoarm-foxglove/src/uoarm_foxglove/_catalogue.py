@@ -280,7 +280,7 @@ class ChannelCatalogue:
         known = self._functions.get(function.name)
         if known and known.function is function and known.structures == structures:
             return known
-        former = {(item.topic, item.codec.schema): item for item in known.channels} if known else {}
+        former = {_announced(item): item for item in known.channels} if known else {}
         outputs, inputs = _outputs(function.components), _inputs(function.components)
         channels = []
         for output in outputs:
@@ -294,7 +294,7 @@ class ChannelCatalogue:
             if view is not None and not (port == "" and _VIEW in outputs):
                 number = next(self._numbers)
                 made.append(OutputChannel(number, function.name, port, view, is_view=True))
-            channels += [former.get((item.topic, item.codec.schema), item) for item in made]
+            channels += [former.get(_announced(item), item) for item in made]
         return _FunctionListing(
             function,
             structures,
@@ -312,7 +312,7 @@ class ChannelCatalogue:
         asked = codec_of(request, _type_name(function, "request"))
         answered = codec_of(reply, _type_name(function, "reply"))
         for service in known.services if known else ():
-            if (service.request.schema, service.reply.schema) == (asked.schema, answered.schema):
+            if (service.request.stated, service.reply.stated) == (asked.stated, answered.stated):
                 yield service
                 return
         yield RobotService(next(self._numbers), function, asked, answered)
@@ -336,6 +336,11 @@ class ChannelCatalogue:
         ):
             return former
         return made
+
+
+def _announced(channel: OutputChannel) -> tuple[str, ...]:
+    """Return all that a viewer knows of a channel beside its number."""
+    return channel.topic, *channel.codec.stated.values()
 
 
 def stated_parameter(name: str, value: Any) -> dict[str, object]:
