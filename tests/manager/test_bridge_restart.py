@@ -11,7 +11,7 @@ from uoarm import RobotManager
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
 from uoarm.model import Health, StatusEvent
-from uoarm.testing import Collector, MemoryBridge, ResourceSnapshot, hanging, patience, wait
+from uoarm.testing import Collector, MemoryBridge, hanging, patience, wait
 
 NUMBER: Any = {"type": "integer"}
 ROBOT = """
@@ -48,11 +48,9 @@ class Scene:
 
 @pytest.fixture
 def scene() -> Iterator[Scene]:
-    snapshot = ResourceSnapshot()
     made = Scene()
     with made.robot:
         yield made
-    snapshot.check()
 
 
 def _lose(scene: Scene, bridge: MemoryBridge) -> None:

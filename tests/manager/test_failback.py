@@ -18,7 +18,6 @@ from uoarm.model import ConnectionState, FailoverPolicy, ValidationMode
 from uoarm.testing import (
     ManualClock,
     MemoryBridge,
-    ResourceSnapshot,
     copies,
     losses,
     patience,
@@ -96,11 +95,9 @@ class Stage:
 
 @pytest.fixture
 def stage() -> Iterator[Stage]:
-    before = ResourceSnapshot()
     made = Stage()
     yield made
     made.robot.close()
-    before.check()
 
 
 def cameras(stage: Stage) -> list[str]:

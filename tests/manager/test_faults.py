@@ -15,7 +15,6 @@ from uoarm.errors import BridgeTimeoutError, ResolutionError
 from uoarm.testing import (
     Background,
     MemoryBridge,
-    ResourceSnapshot,
     hanging,
     lying,
     patience,
@@ -70,11 +69,9 @@ class Scene:
 
 @pytest.fixture
 def scene() -> Iterator[Scene]:
-    snapshot = ResourceSnapshot()
     made = Scene()
     with made.robot:
         yield made
-    snapshot.check()
 
 
 @pytest.mark.parametrize("fault", FAULTS)
