@@ -17,9 +17,9 @@ from viewer import SUBPROTOCOLS, Serve, Viewer
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Limits
+from uoarm.server import Limits, ServerOptions, serve_in_thread
 from uoarm.server.access import hash_token, make_token
-from uoarm.testing import patience, wait
+from uoarm.testing import MemoryBridge, patience, wait
 
 HEADER = b"\0\1\0\0"
 
@@ -40,6 +40,19 @@ def test_a_viewer_is_served_under_either_name(serve: Serve, subprotocol: str) ->
             "parametersSubscribe",
             "services",
         ]
+
+
+def test_a_viewer_of_ros_2_is_to_publish_its_types(robot: RobotManager) -> None:
+    bridge = MemoryBridge()
+    text = "{version: 1, bridges: {robot: {plugin: ros2}}, functions: {}}"
+    with RobotManager(loads(text), bridges={"robot": bridge}) as of_ros:
+        for manager, metadata in ((robot, {}), (of_ros, {"ROS_DISTRO": "jazzy"})):
+            with (
+                serve_in_thread(manager, ServerOptions(port=0)) as server,
+                Viewer(server) as viewer,
+            ):
+                assert viewer.info["metadata"] == metadata
+    bridge.close()
 
 
 def test_every_output_is_a_channel_with_its_schema(serve: Serve) -> None:

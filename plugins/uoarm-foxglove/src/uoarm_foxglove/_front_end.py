@@ -69,6 +69,9 @@ _CAPABILITIES = [
     "parametersSubscribe",
     "services",
 ]
+# By this viewers know the common types of ROS 2, and publish them; else goals have ROS 1's header.
+# Of its newer distributions they do not distinguish one from another.
+_OF_ROS_2 = {"ROS_DISTRO": "jazzy"}
 _NOT_SERVED = {"fetchAsset": "assets are not served"}
 _MOST_ERRORS = 3
 
@@ -104,11 +107,12 @@ class FoxgloveSession:
             "subscribeParameterUpdates": self._subscribe_parameters,
             "unsubscribeParameterUpdates": self._unsubscribe_parameters,
         }
+        plugins = {bridge.plugin for bridge in backend.robot.config.bridges.values()}
         info = {
             "name": f"uoarm {__version__}",
             "capabilities": _CAPABILITIES,
             "supportedEncodings": [CDR, JSON],
-            "metadata": {},
+            "metadata": _OF_ROS_2 if "ros2" in plugins else {},
             "sessionId": client.identity,
         }
         client.outbox.reply(write("serverInfo", **info), text=True)
