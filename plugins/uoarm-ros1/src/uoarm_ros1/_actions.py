@@ -140,6 +140,7 @@ class ActionCaller:
         self._numbers = count(1)
         self._subscription = TopicSubscription(
             node.wanted(f"{name}/result", kinds.result),
+            node.peers,
             self._take_result,
             lambda _: None,
             self._went,
@@ -319,7 +320,7 @@ class ServedAction(Channel):
                 ("cancel", goal_id, self._take_cancel),
             ):
                 wanted = node.wanted(f"{name}/{part}", kind)
-                made = TopicSubscription(wanted, take, _ignore_header, _ignore_end)
+                made = TopicSubscription(wanted, node.peers, take, _ignore_header, _ignore_end)
                 self._subscriptions.append(made)
                 node.subscribe(made)
         except BaseException:

@@ -433,20 +433,25 @@ class Ros1Bridge(Bridge):
 
     def _look_around(self) -> None:
         """Watch the master, what was lost, and the silence of channels, until the close."""
-        next_look = 0.0
+        next_look = next_graph = 0.0
+        graph = Graph(self._node)
         while not self._closing.is_set():
             if time.monotonic() >= next_look:
                 next_look = time.monotonic() + self._options.check
                 self._look_at_master()
-            self._tick()
+            if time.monotonic() >= next_graph:
+                # For a second, and for all: links of hundreds of topics may be those of two nodes.
+                next_graph = (now := time.monotonic()) + _LATELY_SECONDS
+                graph = Graph(self._node, now)
+            self._tick(graph)
             left = next_look - time.monotonic()
             self._closing.wait(max(0.0, min(_TICK_SECONDS, left)))
 
-    def _tick(self) -> None:
+    def _tick(self, graph: Graph) -> None:
         # Apart from what waits: its frame would keep the last channel, closed or not.
         for channel in tuple(self._ticking):
             if not channel.closed:
-                channel.tick()
+                channel.tick(graph)
 
     def _look_at_master(self) -> None:
         node, health = self._node, self._master_health
@@ -474,17 +479,19 @@ class Ros1Bridge(Bridge):
         served = [channel for channel in tuple(self._served) if not channel.closed]
         if not keys and not served:
             return
-        node = self._node
+        # Each node is asked once, whatever is lost of it: one that hangs would hold up all others.
+        graph = Graph(self._node)
         try:
-            state = node.master.state()  # after the list of ours: all of these are registered
+            state = graph.state  # after the list of ours: all of these are registered
         except BridgeError:
             return
         for channel in served:
-            channel.look(state.services.get(channel.name, ()))
+            channel.look(graph)
         for key in keys:
             _, kind, name = key
-            registered = node.addresses(getattr(state, kind).get(name, ()))
-            answers = any(node.is_alive(other) for other, _ in registered)
+            nodes = getattr(state, kind).get(name, ())
+            registered = [(other, uri) for other in nodes if (uri := graph.address(other))]
+            answers = any(graph.is_alive(other) for other, _ in registered)
             with self._table_lock:
                 component = self._lost.look(key, registered, answers=answers)
             if component:

@@ -22,6 +22,7 @@ from uoarm.bridge import (
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
 from uoarm_ros1._definitions import RosRecord
+from uoarm_ros1._discovery import Graph
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Ros1Address, Ros1Options
 from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, TopicSubscription
@@ -90,7 +91,9 @@ class _Subscribed:
         self.is_latched = False
         self.breaks = 0
         wanted = evolve(place.wanted(record), in_runs=in_runs)
-        self.subscription = TopicSubscription(wanted, take, self._came, self._went)
+        self.subscription = TopicSubscription(
+            wanted, place.node.peers, take, self._came, self._went
+        )
 
     def open(self) -> None:
         """Begin to take messages; what takes them must be whole by then.
@@ -176,7 +179,7 @@ class Ros1TopicSource(Source):
             "publishers": self._subscribed.publishers,
         }
 
-    def tick(self) -> None:
+    def tick(self, _: Graph) -> None:
         """Look whether messages come."""
         self._subscribed.health.tick()
 
@@ -276,8 +279,9 @@ class _Publishing:
         """Return the nodes that are to connect."""
         node, topic = self.place.node, self.place.topic
         expected = set(node.own_callers(topic))
-        for name in node.master.state().subscribers.get(topic, ()):
-            if name != node.name and (name in self.publication.callers or node.is_alive(name)):
+        graph = Graph(node)
+        for name in graph.state.subscribers.get(topic, ()):
+            if name != node.name and (name in self.publication.callers or graph.is_alive(name)):
                 expected.add(name)
         return expected
 
@@ -354,7 +358,7 @@ class Relay(Channel):
         """Wait until every subscriber's machine has what was moved."""
         return self._publishing.publication.drain(timeout)
 
-    def tick(self) -> None:
+    def tick(self, _: Graph) -> None:
         """Look whether messages come."""
         self._subscribed.health.tick()
 
@@ -377,27 +381,26 @@ class SameTopic(Channel):
         super().__init__(source.endpoint)
         self._source, self._sink = source, sink
         self._is_lost = False
-        if cause := self._missing():
+        if cause := self._missing(Graph(source.node, time.monotonic() - _SHARED_SECONDS)):
             raise BridgeError(f"{source.endpoint}: {cause}", FailureReason.UNAVAILABLE)
 
-    def tick(self) -> None:
+    def tick(self, graph: Graph) -> None:
         """Look whether both ends are there."""
-        if not self._is_lost and not self.closed and (cause := self._missing()):
+        if not self._is_lost and not self.closed and (cause := self._missing(graph)):
             self._is_lost = True
             self._source.report(self, Health.LOST, cause)
 
-    def _missing(self) -> str:
-        node, topic = self._source.node, self._source.topic
+    def _missing(self, graph: Graph) -> str:
+        topic = self._source.topic
         try:
-            # Once for all that look in one round: it grows with the robot.
-            state = node.master.state(time.monotonic() - _SHARED_SECONDS)
+            state = graph.state
         except BridgeError:
             return ""  # of the master's absence it says nothing
         for place, nodes, what in (
             (self._source, state.publishers, "publishes"),
             (self._sink, state.subscribers, "subscribes to"),
         ):
-            if place.port.peer_required and not any(map(node.is_alive, nodes.get(topic, ()))):
+            if place.port.peer_required and not any(map(graph.is_alive, nodes.get(topic, ()))):
                 return f"no node that lives {what} {topic}"
         return ""
 

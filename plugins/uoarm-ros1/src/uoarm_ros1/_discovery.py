@@ -29,13 +29,15 @@ class Graph:
 
     Args:
         node: that asks.
-        since: what the master was asked since then it is not asked again.
+        since: what the master was asked since then it is not asked again; None: the time of each
+            question.
     """
 
-    def __init__(self, node: Node, since: float = math.inf) -> None:
+    def __init__(self, node: Node, since: float | None = None) -> None:
         self._node = node
         self._since = since
         self._oldest = math.inf
+        self._addresses: dict[str, str] = {}
         self._alive: dict[str, bool] = {}
         self._headers: dict[tuple[str, str, str], PublisherHeader | str] = {}
 
@@ -64,10 +66,16 @@ class Graph:
         kind = self.types.get(topic, "")
         return f"; it is known as {kind}, not {wanted}" if kind and wanted not in {"", kind} else ""
 
+    def address(self, name: str) -> str:
+        """Return the address that the master has for a node, nothing where it has none."""
+        if name not in self._addresses:
+            self._addresses[name] = self._node.address(name)
+        return self._addresses[name]
+
     def is_alive(self, name: str) -> bool:
-        """Whether a node answers."""
+        """Whether a node answers: one that was killed is known to the master still."""
         if name not in self._alive:
-            self._alive[name] = self._node.is_alive(name)
+            self._alive[name] = self._node.answers(name, self.address(name))
         return self._alive[name]
 
     def header(self, name: str, topic: str, kind: str) -> PublisherHeader | str:

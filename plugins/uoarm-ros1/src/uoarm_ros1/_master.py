@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import socket
+import threading
 import time
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, Generic, TypeVar
 from urllib.parse import urlsplit
+from weakref import WeakValueDictionary
 
 from attrs import field, frozen
 
@@ -22,6 +25,7 @@ _MAX_OCTETS = 8 << 20
 _CHUNK = 65_536
 _DONE = 1
 _RESULT = 3
+T = TypeVar("T")
 
 
 def connect(host: str, port: int, deadline: float) -> socket.socket:
@@ -115,6 +119,85 @@ def _exchange(host: str, port: int, body: bytes, deadline: float) -> Any:
             return decode_reply(message.body)
 
 
+class SharedAnswer(Generic[T]):
+    """An answer that many want to know: it is asked for once for all that wait. Thread safe.
+
+    Args:
+        ask: returns it, within its own time limit, or raises BridgeError.
+    """
+
+    def __init__(self, ask: Callable[[], T]) -> None:
+        self._ask = ask
+        # Held while it is asked for: of hundreds that want it at once, the first asks, and the
+        # second for all that came since.
+        self._lock = threading.Lock()
+        self._asked = -math.inf
+        self._answer: T | BridgeError
+
+    def get(self, since: float | None = None) -> T:
+        """Return what was answered to a question of that time or later; waits for two at most.
+
+        Args:
+            since: time of the monotonic clock; None: the time of this call.
+
+        Raises:
+            BridgeError: what the question came to.
+        """
+        wanted = time.monotonic() if since is None else since
+        with self._lock:
+            if self._asked < wanted:
+                self._asked = time.monotonic()
+                try:
+                    self._answer = self._ask()
+                except BridgeError as error:
+                    # Who came while it was waited for need not wait as long again: up to now there
+                    # was no answer.
+                    self._answer, self._asked = error, time.monotonic()
+            answer = self._answer
+        if isinstance(answer, BridgeError):
+            # One of its own for each, as threads write into what they raise.
+            raise BridgeError(str(answer), answer.reason) from answer
+        return answer
+
+
+class PeerApi:
+    """The API of another node, for all channels that are connected to it. Thread safe.
+
+    Attributes:
+        uri: its address.
+        pid: of its process, which says that it lives.
+        connections: as it lists them: of hundreds an answer takes a node in Python 20 ms.
+    """
+
+    def __init__(self, uri: str, caller: str) -> None:
+        self.uri = uri
+        call = partial(call_api, uri, what="the node")
+        self.pid: SharedAnswer[object] = SharedAnswer(partial(call, "getPid", caller))
+        self.connections: SharedAnswer[object] = SharedAnswer(partial(call, "getBusInfo", caller))
+
+
+class Peers:
+    """The APIs of other nodes, as long as channels use them. Thread safe.
+
+    Args:
+        caller: name of the node that asks.
+    """
+
+    def __init__(self, caller: str) -> None:
+        self._caller = caller
+        # Guards the look and the entry: of two APIs of one node each would be asked.
+        self._lock = threading.Lock()
+        self._apis: WeakValueDictionary[str, PeerApi] = WeakValueDictionary()
+
+    def at(self, uri: str) -> PeerApi:
+        """Return the API at an address, the same one for all."""
+        with self._lock:
+            found = self._apis.get(uri)
+            if found is None:
+                found = self._apis[uri] = PeerApi(uri, self._caller)
+            return found
+
+
 @frozen
 class GraphState:
     """Who publishes, subscribes and serves what, as the master knows it: nodes by name.
@@ -148,8 +231,7 @@ class Master:
         self.uri = uri
         self._caller = caller
         self._own = own
-        # Replaced as a whole, by any thread: who finds an older one than wanted asks itself.
-        self._state, self._types = GraphState(-math.inf), TopicTypes(-math.inf)
+        self._state, self._types = SharedAnswer(self._ask_state), SharedAnswer(self._ask_types)
 
     def call(self, method: str, *arguments: Any) -> Any:
         """Call a method.
@@ -165,20 +247,21 @@ class Master:
             hint = "start it, or set the bridge's option `master` or ROS_MASTER_URI"
             raise BridgeError(f"{error}; {hint}", FailureReason.UNAVAILABLE) from error
 
-    def state(self, since: float = math.inf) -> GraphState:
+    def state(self, since: float | None = None) -> GraphState:
         """Return who publishes, subscribes and serves what.
 
         Args:
             since: time of the monotonic clock; what was asked for since then is not asked again.
-                Of thousands of topics an answer takes a tenth of a second.
+                Of thousands of topics an answer takes a tenth of a second. None: it is asked now.
         """
-        if self._state.asked >= since:
-            return self._state
+        return self._state.get(since)
+
+    def _ask_state(self) -> GraphState:
         asked, value = time.monotonic(), self.call("getSystemState")
         if not isinstance(value, list) or len(value) != _RESULT:
             raise self._wrong("getSystemState")
         try:
-            self._state = GraphState(
+            return GraphState(
                 asked,
                 *(
                     {str(name): tuple(map(str, nodes)) for name, nodes in listing}
@@ -187,19 +270,18 @@ class Master:
             )
         except (TypeError, ValueError):
             raise self._wrong("getSystemState") from None
-        return self._state
 
-    def types(self, since: float = math.inf) -> TopicTypes:
+    def types(self, since: float | None = None) -> TopicTypes:
         """Return the types of topics; a topic without one is left out. `since` as for `state`."""
-        if self._types.asked >= since:
-            return self._types
+        return self._types.get(since)
+
+    def _ask_types(self) -> TopicTypes:
         asked, value = time.monotonic(), self.call("getTopicTypes")
         try:
             types = {str(topic): str(kind) for topic, kind in value if kind != "*"}
         except (TypeError, ValueError):
             raise self._wrong("getTopicTypes") from None
-        self._types = TopicTypes(asked, types)
-        return self._types
+        return TopicTypes(asked, types)
 
     def node_uri(self, node: str) -> str:
         """Return the address of a node's API."""

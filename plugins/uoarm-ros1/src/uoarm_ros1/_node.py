@@ -6,7 +6,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from itertools import count
@@ -17,7 +17,7 @@ from attrs import evolve
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Health
 from uoarm_ros1._definitions import RosRecord
-from uoarm_ros1._master import Master, call_api
+from uoarm_ros1._master import Master, Peers, call_api
 from uoarm_ros1._options import NodeIdentity, Ros1BridgeOptions
 from uoarm_ros1._publication import TopicPublication
 from uoarm_ros1._server import NodeServer, SocketLoop
@@ -50,6 +50,7 @@ class Node:
     Attributes:
         name: its full name.
         master: where it is registered.
+        peers: the APIs of the nodes that it is connected to.
         loop: that watches its sockets.
         stamp: returns the time as headers have it: this machine's, or that of /clock.
     """
@@ -92,6 +93,7 @@ class Node:
         self.uri = f"http://{at}:{server.api_port}/"
         self.service_uri = f"rosrpc://{at}:{server.port}"
         self.master = master = Master(identity.master, self.name, self.uri)
+        self.peers = Peers(self.name)
         self._take_back: Mapping[str, Callable[[str], object]] = {
             "publisher": partial(master.unregister, "Publisher"),
             "subscriber": partial(master.unregister, "Subscriber"),
@@ -300,21 +302,18 @@ class Node:
                 return False
             raise
 
-    def addresses(self, nodes: Iterable[str]) -> list[tuple[str, str]]:
-        """Return the names of nodes with the addresses that the master has for them."""
-        found = []
-        for name in nodes:
-            with suppress(BridgeError):
-                found.append((name, self.master.node_uri(name)))
-        return found
+    def address(self, node: str) -> str:
+        """Return the address that the master has for a node, nothing where it has none."""
+        with suppress(BridgeError):
+            return self.master.node_uri(node)
+        return ""
 
-    def is_alive(self, node: str) -> bool:
-        """Whether a node that the master knows answers: one that was killed is known still."""
+    def answers(self, node: str, address: str) -> bool:
+        """Whether a node answers at an address."""
         if node == self.name:
             return True
         try:
-            uri = self.master.node_uri(node)
-            call_api(uri, "getPid", self.name, seconds=_ASK_SECONDS)
+            call_api(address, "getPid", self.name, seconds=_ASK_SECONDS)
         except BridgeError:
             return False
         return True
@@ -522,7 +521,9 @@ class Clock:
             BridgeError: the master cannot be reached.
         """
         if self._subscription is None:
-            made = TopicSubscription(self._wanted, self._take, lambda _: None, lambda *_: None)
+            made = TopicSubscription(
+                self._wanted, self._node.peers, self._take, lambda _: None, lambda *_: None
+            )
             self._node.subscribe(made)
             self._subscription = made
 

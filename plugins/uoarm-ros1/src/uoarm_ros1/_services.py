@@ -6,13 +6,14 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 from uoarm.bridge import Channel, Handler, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_ros1._definitions import RosService
+from uoarm_ros1._discovery import Graph
 from uoarm_ros1._master import connect, failure_text
 from uoarm_ros1._node import Node
 from uoarm_ros1._publication import keep_alive
@@ -244,14 +245,18 @@ class ServedService(Channel):
             "clients": len(self._clients),
         }
 
-    def look(self, nodes: Sequence[str]) -> None:
+    def look(self, graph: Graph) -> None:
         """Compare which nodes the master has for the service; in the thread that watches it.
+
+        Raises:
+            BridgeError: the master does not say.
 
         Where it has none, or one that does not live, the service is registered here again.
         """
         other = ""
+        nodes = graph.state.services.get(self.name, ())
         if self._node.name not in nodes:
-            if any(map(self._node.is_alive, nodes)):
+            if any(map(graph.is_alive, nodes)):
                 other = ", ".join(nodes)
             else:
                 with suppress(BridgeError):  # the next look tries again

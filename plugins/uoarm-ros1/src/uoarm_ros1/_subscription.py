@@ -15,7 +15,7 @@ from attrs import frozen
 
 from uoarm.bridge import Backoff, text_of
 from uoarm.errors import BridgeError
-from uoarm_ros1._master import call_api, connect, failure_text
+from uoarm_ros1._master import Peers, call_api, connect, failure_text
 from uoarm_ros1._publication import keep_alive
 from uoarm_ros1._tcpros import (
     ProtocolError,
@@ -29,6 +29,7 @@ from uoarm_ros1._tcpros import (
 _CONNECT_SECONDS = 5.0
 _LISTED_SECONDS = 1.0
 _LISTED_LOOK_SECONDS = 0.002
+_ALIVE_SHARE = 0.5
 _BACKOFF = Backoff(first=0.1, most=2.0)
 _MAX_HEADER_OCTETS = 1 << 20
 _ASKED_IN_VAIN = 2
@@ -157,6 +158,7 @@ class _Publisher:
 
     def __init__(self, uri: str, owner: TopicSubscription) -> None:
         self.uri = uri
+        self._api = owner.peers.at(uri)
         self.header: PublisherHeader | None = None
         self.failure = ""  # why it was not reached last time; empty: it was, or is not tried yet
         self.is_listed = True
@@ -239,17 +241,16 @@ class _Publisher:
         deadline = time.monotonic() + _LISTED_SECONDS
         pause = threading.Event()
         while time.monotonic() < deadline and not self._closed.is_set():
+            # Before the first question, too: mostly it takes the publisher less than that.
+            pause.wait(_LISTED_LOOK_SECONDS)
             try:
-                listing: Any = call_api(
-                    self.uri, "getBusInfo", self._owner.wanted.caller, seconds=_LISTED_SECONDS
-                )
+                listing: Any = self._api.connections.get()
             except BridgeError:
                 return  # a node that does not say
             if not isinstance(listing, list):
                 return
             if any(self._is_this(entry, ends) for entry in listing):
                 return
-            pause.wait(_LISTED_LOOK_SECONDS)
 
     def _is_this(self, entry: object, ends: re.Pattern[str]) -> bool:
         """Whether an entry of a listing stands for a connection, as far as it says which."""
@@ -292,8 +293,11 @@ class _Publisher:
 
     def _ask(self) -> str:
         """Return why a publisher that is silent is taken for dead, nothing where it answers."""
+        # A node of hundreds of silent topics is not asked for each. An answer that this one had
+        # before is older than this.
+        since = time.monotonic() - _ALIVE_SHARE * self._owner.wanted.silence
         try:
-            call_api(self.uri, "getPid", self._owner.wanted.caller, what="the publisher")
+            self._api.pid.get(since)
         except BridgeError as error:
             return str(error)
         return ""
@@ -304,6 +308,7 @@ class TopicSubscription:
 
     Args:
         wanted: what it takes.
+        peers: the APIs of publishers.
         take: takes the octets of messages and the name of their node, in the thread of each
             publisher.
         came: is called when a publisher is connected, with its header.
@@ -314,11 +319,12 @@ class TopicSubscription:
     def __init__(
         self,
         wanted: SubscriptionOptions,
+        peers: Peers,
         take: Callable[[bytes | bytearray, str], object],
         came: Callable[[PublisherHeader], object],
         went: Callable[[str, str, bool], object],
     ) -> None:
-        self.wanted, self.take = wanted, take
+        self.wanted, self.peers, self.take = wanted, peers, take
         self._came, self._went = came, went
         # Guards the table of publishers, between the loop, in which the master's word comes, and
         # their threads.

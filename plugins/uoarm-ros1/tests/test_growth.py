@@ -1,0 +1,181 @@
+"""Questions to the master and to nodes, which grow with nodes and not with topics."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from endpoints import bridge_to, input_, output
+from peers import Master, Peer
+from uoarm_ros1 import _master, _node
+from uoarm_ros1._bridge import Ros1Bridge
+from uoarm_ros1._channels import SameTopic
+from uoarm_ros1._discovery import Graph
+from uoarm_ros1._master import Peers, SharedAnswer
+from uoarm_ros1._subscription import _Publisher
+
+from uoarm.bridge import Bridge, Source
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.testing import patience, slowness, wait
+
+INT = "std_msgs/Int32"
+TOPICS = 20
+
+
+@pytest.fixture
+def questions(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """How often each method was called, but the question whether the master is there."""
+    counted: Counter[str] = Counter()
+    real = _master.call_api
+
+    def call(uri: str, method: str, *arguments: Any, **options: Any) -> Any:
+        counted[method] += options.get("what") != "the ROS master" or method != "getPid"
+        return real(uri, method, *arguments, **options)
+
+    monkeypatch.setattr(_master, "call_api", call)
+    monkeypatch.setattr(_node, "call_api", call)
+    return counted
+
+
+def test_an_answer_is_asked_for_once_for_all_that_wait() -> None:
+    asked, may_answer, found = [], threading.Event(), []
+
+    def ask() -> int:
+        asked.append(time.monotonic())
+        assert may_answer.wait(patience())
+        return len(asked)
+
+    answer = SharedAnswer(ask)
+    first = threading.Thread(target=lambda: found.append(answer.get()), daemon=True)
+    first.start()
+    wait(lambda: bool(asked), "it is not asked", patience())
+    # All of these came after the first question was asked: the second one is for all of them.
+    since = time.monotonic()
+    others = [
+        threading.Thread(target=lambda: found.append(answer.get(since)), daemon=True)
+        for _ in range(TOPICS)
+    ]
+    for other in others:
+        other.start()
+    may_answer.set()
+    for thread in (first, *others):
+        thread.join(patience())
+    assert sorted(found) == [1, *[2] * TOPICS]
+    assert answer.get(since) == 2
+    assert answer.get() == 3
+
+
+def test_who_came_while_a_question_failed_does_not_wait_for_another() -> None:
+    asked: list[float] = []
+
+    def ask() -> int:
+        asked.append(time.monotonic())
+        raise BridgeError("no answer", FailureReason.UNAVAILABLE)
+
+    def get(since: float | None) -> None:
+        with pytest.raises(BridgeError, match="no answer") as caught:
+            answer.get(since)
+        assert caught.value.reason is FailureReason.UNAVAILABLE
+
+    answer = SharedAnswer(ask)
+    get(None)
+    get(asked[0])  # of one that came while the question was asked
+    assert len(asked) == 1
+    get(None)
+    assert len(asked) == 2
+
+
+def test_a_node_has_one_api_as_long_as_channels_use_it() -> None:
+    peers = Peers("/me")
+    api = peers.at("http://127.0.0.1:1/")
+    assert peers.at("http://127.0.0.1:1/") is api
+    assert peers.at("http://127.0.0.1:2/") is not api
+    known = peers._apis
+    del api
+    assert not known
+
+
+def test_a_node_of_many_silent_topics_is_not_asked_for_each(
+    master: Master, lasting: Peer, questions: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asking: Counter[str] = Counter()
+    real: Callable[[_Publisher], str] = _Publisher._ask
+
+    def ask(publisher: _Publisher) -> str:
+        cause = real(publisher)
+        asking[publisher._owner.wanted.topic] += 1
+        return cause
+
+    monkeypatch.setattr(_Publisher, "_ask", ask)
+    topics = [f"/silent/{number}" for number in range(TOPICS)]
+    for topic in topics:
+        lasting.do("advertise", topic=topic, type=INT)
+    with bridge_to(master, silence=patience() / 100, check=patience(), rosout=False) as bridge:
+        sources = opened(bridge, topics)
+        questions.clear()
+        wait(
+            lambda: all(asking[topic] > 1 for topic in topics),
+            "no publisher is asked",
+            patience(),
+        )
+        # In each time of silence the node is asked twice at most; all topics ask once.
+        assert 0 < questions["getPid"] <= sum(asking.values()) / 4
+        assert not any(source.closed for source in sources)
+
+
+def test_a_node_that_hangs_is_asked_once_whatever_is_lost_of_it(
+    master: Master, questions: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_node, "_ASK_SECONDS", slowness())
+    peer = master.peer("hanging")
+    topics = [f"/lost/{number}" for number in range(TOPICS)]
+    for topic in topics:
+        peer.do("advertise", topic=topic, type=INT)
+    peer.send_signal(signal.SIGSTOP)
+    with bridge_to(master, check=patience(), rosout=False) as bridge:
+        assert isinstance(bridge, Ros1Bridge)
+        wait(lambda: bridge._master_health.is_up, "the master does not answer", patience())
+        for topic in topics:
+            bridge._remember(output(topic))
+        questions.clear()
+        bridge._look_at_graph()
+        # The bridge's own look may come now, too.
+        assert set(questions) == {"getSystemState", "lookupNode", "getPid"}
+        assert max(questions.values()) <= 2
+    peer.kill()
+
+
+def test_links_of_two_nodes_ask_each_once_in_a_look(
+    master: Master, lasting: Peer, questions: Counter[str]
+) -> None:
+    other = master.peer("other")
+    topics = [f"/both/{number}" for number in range(TOPICS)]
+    for topic in topics:
+        lasting.do("advertise", topic=topic, type=INT)
+        other.do("subscribe", topic=topic, type=INT)
+    with bridge_to(master, check=patience(), rosout=False) as bridge:
+        assert isinstance(bridge, Ros1Bridge)
+        links = [bridge.link(output(topic), input_(topic)) for topic in topics]
+        graph = Graph(bridge._node, time.monotonic())
+        questions.clear()
+        for link in links:
+            assert isinstance(link, SameTopic)
+            link.tick(graph)
+        # Beside those of the bridge's own look, which may come now: it is one a second.
+        assert questions["getPid"] <= 2 * TOPICS / 4
+        assert questions["lookupNode"] <= 2 * TOPICS / 4
+        assert questions["getSystemState"] <= TOPICS / 4
+
+
+def opened(bridge: Bridge, topics: list[str]) -> list[Source]:
+    sources = []
+    for topic in topics:
+        structure = bridge.describe(output(topic)).message
+        assert structure is not None
+        sources.append(bridge.open_source(output(topic), structure, lambda _: None))
+    return sources
