@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from tests.test_layers import ROOT
 
-from uoarm._support.user_paths import expanded, user_folder
+from uoarm._support.files import expanded, user_folder
 from uoarm.cli import main
 from uoarm.errors import UsageError
 

@@ -16,7 +16,7 @@ from attrs import field, frozen
 
 from uoarm._encodable import printable
 from uoarm._plugins import hookimpl, hookspec
-from uoarm._support.user_paths import expanded, user_folder
+from uoarm._support.files import expanded, user_folder
 from uoarm.errors import CommandLineError
 
 __all__ = [

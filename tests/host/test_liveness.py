@@ -72,9 +72,7 @@ class LateTransport:
         self.enough = threading.Event()
         self._waiting: deque[Callable[[Any], None]] = deque()
 
-    def ask_later(
-        self, key: str, request: object, take: Callable[[Any], None], *, timeout: float
-    ) -> None:
+    def ask_later(self, key: str, take: Callable[[Any], None], *, timeout: float) -> None:
         self.asked += 1
         self._waiting.append(take)
         if self.late is not None and len(self._waiting) > self.late:

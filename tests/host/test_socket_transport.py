@@ -216,7 +216,7 @@ def test_late_questions_without_an_answer_are_forgotten(
 ) -> None:
     near, _ = bare
     for _ in range(100):
-        near.ask_later("test/ask", None, lambda answer: None, timeout=0.0)
+        near.ask_later("test/ask", lambda answer: None, timeout=0.0)
     assert len(near._asked) == len(near._late) == 1
 
 

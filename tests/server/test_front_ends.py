@@ -34,7 +34,7 @@ from uoarm.server.front_end import (
     Session,
 )
 from uoarm.server.http import _handshake
-from uoarm.server.http._handshake import OWN_PATHS, FrontEnds
+from uoarm.server.http._handshake import FrontEnds
 
 ADD = 'call add {"a": 1, "b": 2}'
 
@@ -244,7 +244,7 @@ def test_a_client_whose_session_cannot_be_made_is_sent_away_and_holds_nothing(
 
 
 def found(*front_ends: FrontEnd) -> tuple[list[str], list[str]]:
-    made = FrontEnds(OWN_PATHS, front_ends)
+    made = FrontEnds(front_ends)
     return [front_end.name for front_end in made.usable], [
         problem.cause for problem in made.problems
     ]

@@ -11,8 +11,7 @@ from typing import Any
 
 from attrs import field, frozen
 
-from uoarm._support.files import UnreadableFileError, read_text
-from uoarm._support.user_paths import expanded
+from uoarm._support.files import UnreadableFileError, expanded, read_text
 from uoarm.environments import environment_folder
 from uoarm.errors import ConfigurationError, PluginError
 from uoarm.model import (

@@ -1,5 +1,6 @@
 """Files that are there whole or not at all, also when the disk is full or the process is killed.
 
+Paths may begin with `~`, and programs keep things in folders of the user who runs them.
 Text is read in one way: of a regular file, in UTF-8, up to a limit; what is wrong is worded once.
 """
 
@@ -11,6 +12,10 @@ import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from uoarm.errors import UsageError
+
+_FOLDERS = {"cache": "~/.cache", "data": "~/.local/share", "state": "~/.local/state"}
 
 
 class UnreadableFileError(ValueError):
@@ -132,3 +137,29 @@ def stamp_of(path: Path) -> tuple[int, ...]:
     except OSError:
         return ()
     return found.st_mtime_ns, found.st_size, found.st_ino
+
+
+def expanded(path: str | Path) -> Path:
+    """Return a path in which `~` and `~NAME` are replaced.
+
+    They stay where no home is known: what is wrong with the path names it as it was written.
+    """
+    return Path(os.path.expanduser(path))  # noqa: PTH111 - that of pathlib raises RuntimeError
+
+
+def user_folder(kind: str) -> Path:
+    """Return where uoarm keeps what is of this user: `cache`, `data` or `state`.
+
+    These are the folders of https://specifications.freedesktop.org/basedir-spec; they need not be
+    there yet.
+
+    Raises:
+        UsageError: the user has no home, and no variable names a folder.
+    """
+    variable = f"XDG_{kind.upper()}_HOME"
+    named = os.environ.get(variable) or _FOLDERS[kind]
+    folder = expanded(named)
+    if str(folder).startswith("~"):
+        text = f"{named}: this user has no home: set {variable} to a folder that can be written"
+        raise UsageError(text)
+    return folder / "uoarm"

@@ -22,7 +22,7 @@ from uoarm._mistakes import Speller, certainly_matches, mistakes
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, cause_of, hookspec, installed, values_of
 from uoarm._support import deadlines
-from uoarm._support.user_paths import expanded
+from uoarm._support.files import expanded
 from uoarm._support.yaml import write_path
 from uoarm.bridge._border import translated
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge

@@ -21,8 +21,7 @@ import click
 
 from uoarm import RobotManager
 from uoarm._forks import default_in_children
-from uoarm._support.files import stamp_of
-from uoarm._support.user_paths import user_folder
+from uoarm._support.files import stamp_of, user_folder
 from uoarm._support.yaml import write_flow
 from uoarm._version import __version__
 from uoarm.cli._announce import Announcement

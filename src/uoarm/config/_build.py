@@ -8,7 +8,7 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm._support.user_paths import expanded
+from uoarm._support.files import expanded
 from uoarm.model import (
     BridgeSpec,
     CommandPolicy,

@@ -77,7 +77,6 @@ def suggest(
     configured: Container[str] = (),
     only: tuple[str, str] | None = None,
     seconds: float = 10.0,
-    clock: Callable[[], float] = time.monotonic,
 ) -> str:
     """Return YAML with a function for each component that is seen and not configured.
 
@@ -91,7 +90,6 @@ def suggest(
         only: the bridge and the component, by its framework's name, that alone is written; others
             may still feed it where the configuration has them.
         seconds: for comparing structures; what was not compared is said.
-        clock: a monotonic clock.
     """
     findings = [finding for finding in findings if finding.components]
     proposals = [
@@ -100,7 +98,7 @@ def suggest(
     left_out = proposals[_MOST_COMPONENTS:]
     proposals = proposals[:_MOST_COMPONENTS]
     outputs = [*_configured(robot, findings), *_proposed(proposals)]
-    deadline = clock() + seconds
+    deadline = time.monotonic() + seconds
     new = [finding for finding in findings if finding.bridge not in configured]
     is_part = any(finding.bridge in configured for finding in findings)
     head = _HEAD + (_PART if is_part else "")
@@ -109,7 +107,7 @@ def suggest(
     lines += [f"  {finding.bridge}: {{plugin: {finding.plugin}}}" for finding in new]
     lines.append("functions:" if proposals else "functions: {}  # bridges see nothing else")
     for proposal in proposals:
-        lines += _lines(proposal, outputs, lambda: clock() > deadline)
+        lines += _lines(proposal, outputs, lambda: time.monotonic() > deadline)
     if left_out:
         lines.append(f"# and {len(left_out):,} components more, beyond the limit")
     return "\n".join(lines) + "\n"

@@ -10,10 +10,11 @@ import subprocess
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from attrs import field, frozen
 
-from uoarm._support.user_paths import expanded, user_folder
+from uoarm._support.files import expanded, user_folder
 from uoarm._version import __version__
 from uoarm.errors import PluginError
 
@@ -252,46 +253,35 @@ def examine(environment: Environment) -> EnvironmentFinding:
 
 def extras_in(interpreter: Path, names: Iterable[str]) -> dict[str, list[str]]:
     """Return the extras that projects have which an interpreter has; {} where it does not say."""
-    try:
-        done = subprocess.run(  # noqa: S603 - the environment's own interpreter
-            [str(interpreter), "-I", "-c", _EXTRAS, *names],
-            capture_output=True,
-            env=passed_on(os.environ, is_environment=True),
-            text=True,
-            timeout=_SECONDS,
-            check=False,
-        )
-        reports = json.loads(done.stdout)
-    except (OSError, subprocess.TimeoutExpired, ValueError, RecursionError):
-        return {}
-    return reports if isinstance(reports, dict) else {}
+    return _answer(interpreter, "-I", "-c", _EXTRAS, *names)
 
 
 def _unusable(interpreter: Path) -> dict[str, str]:
     """Return what the plugins of an environment lack, as hosts that this shell starts would."""
+    report = _answer(interpreter, "-m", "uoarm", "doctor", "--json")
     try:
-        done = subprocess.run(  # noqa: S603 - the environment's own interpreter
-            [str(interpreter), "-m", "uoarm", "doctor", "--json"],
-            capture_output=True,
-            env=passed_on(os.environ, is_environment=True),
-            text=True,
-            timeout=_SECONDS,
-            check=False,
-        )
-        report = json.loads(done.stdout)
         found = {name: str(of["usable"]) for name, of in report.items() if "usable" in of}
-    except (
-        OSError,
-        subprocess.TimeoutExpired,
-        ValueError,
-        RecursionError,
-        AttributeError,
-        LookupError,
-        TypeError,
-    ):
+    except (LookupError, TypeError):
         return {}
     return {
         name: usable.removeprefix("no: ")
         for name, usable in found.items()
         if usable.startswith("no: ")
     }
+
+
+def _answer(interpreter: Path, *words: str) -> dict[str, Any]:
+    """Return the object of JSON that an interpreter prints; {} where it prints none."""
+    try:
+        done = subprocess.run(  # noqa: S603 - the environment's own interpreter
+            [str(interpreter), *words],
+            capture_output=True,
+            env=passed_on(os.environ, is_environment=True),
+            text=True,
+            timeout=_SECONDS,
+            check=False,
+        )
+        answer = json.loads(done.stdout)
+    except (OSError, subprocess.TimeoutExpired, ValueError, RecursionError):
+        return {}
+    return answer if isinstance(answer, dict) else {}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from attrs import field, frozen
 
-from uoarm._support.user_paths import user_folder
+from uoarm._support.files import user_folder
 from uoarm.errors import ConfigurationError
 from uoarm.model import is_loopback
 from uoarm.server._limits import Limits

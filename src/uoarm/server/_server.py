@@ -26,7 +26,6 @@ from uoarm.server.access import Admission, Audit, AuditFile
 from uoarm.server.front_end import FrontEnd, HttpPlace, MakeSession
 from uoarm.server.http import (
     BACKLOG,
-    OWN_PATHS,
     FrontEnds,
     HandshakeHandler,
     ListeningSocket,
@@ -78,7 +77,7 @@ class Server:
         front_ends: Iterable[FrontEnd] | None = None,
     ) -> None:
         settings.check()
-        self._front_ends = FrontEnds(OWN_PATHS, front_ends)
+        self._front_ends = FrontEnds(front_ends)
         for problem in self._front_ends.problems:
             _log.warning("the front end %r cannot be used: %s", problem.name, problem.cause)
         for name in settings.front_end_ports:

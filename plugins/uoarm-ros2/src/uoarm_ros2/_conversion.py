@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import operator
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import lru_cache, partial
 from itertools import count
@@ -232,15 +232,19 @@ def _items(
         if isinstance(value, str | bytes) or not hasattr(value, "__len__"):
             raise UnfitValueError(f"expected an array, got {shown(value)}")
         counted(len(value))
-        items = []
-        for index, item in enumerate(value):
-            try:
-                items.append(check(item))
-            except UnfitValueError as error:
-                raise UnfitValueError(f"[{index}] {error}") from error
-        return items
+        return _checked(value, check)
 
     return take
+
+
+def _checked(values: Iterable[Message], check: Callable[[Message], Any]) -> list[Any]:
+    items = []
+    for index, item in enumerate(values):
+        try:
+            items.append(check(item))
+        except UnfitValueError as error:
+            raise UnfitValueError(f"[{index}] {error}") from error
+    return items
 
 
 def _buffers(
@@ -297,14 +301,7 @@ def _listed(
     if code not in "fd" and kinds == {int}:
         with suppress(OverflowError):
             return np.frombuffer(array(code, value), dtype)
-    check = checker(ScalarType(name))
-    items = []
-    for index, item in enumerate(value):
-        try:
-            items.append(check(item))
-        except UnfitValueError as error:
-            raise UnfitValueError(f"[{index}] {error}") from error
-    return np.array(items, dtype)
+    return np.array(_checked(value, checker(ScalarType(name))), dtype)
 
 
 def _fitted(

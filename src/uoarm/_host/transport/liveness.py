@@ -234,9 +234,8 @@ class Heartbeat:
                 return
             self._silence.asked()
             with suppress(BridgeError):  # the link is closed, which is silence
-                self._transport.ask_later(
-                    keys.HEARTBEAT, None, self._answers.put, timeout=self._silence.limit
-                )
+                limit = self._silence.limit
+                self._transport.ask_later(keys.HEARTBEAT, self._answers.put, timeout=limit)
 
     def _take_answers(self, until: float) -> bool:
         """Take answers until it is time for the next question; False when there is to be none."""

@@ -85,10 +85,8 @@ class SocketTransport(Transport):
             raise _closed(f"asking {key}")
         return read_answer(answer, key)
 
-    def ask_later(
-        self, key: str, request: Any, take: Callable[[Any], None], *, timeout: float
-    ) -> None:
-        """Send a request, and have the answer handed to `take` in the transport's thread."""
+    def ask_later(self, key: str, take: Callable[[Any], None], *, timeout: float) -> None:
+        """Send a bare request, and have the answer handed to `take` in the transport's thread."""
 
         def hand(answer: Frame | None) -> None:
             self._late.pop(number, None)
@@ -108,7 +106,7 @@ class SocketTransport(Transport):
         # Both before it is sent. Where that fails, the next such request forgets it in time.
         number = self._expect(hand)
         self._late[number] = now + timeout
-        self._write(_ASK, key, number, b"", pack(request), _MUST_ARRIVE_SECONDS)
+        self._write(_ASK, key, number, b"", pack(None), _MUST_ARRIVE_SECONDS)
 
     def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
         """Have requests at a key handed to `take`, in the transport's thread."""

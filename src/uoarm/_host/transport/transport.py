@@ -56,10 +56,8 @@ class Transport(ABC):
         """
 
     @abstractmethod
-    def ask_later(
-        self, key: str, request: Any, take: Callable[[Any], None], *, timeout: float
-    ) -> None:
-        """Send a request, and have the answer handed to `take` in the transport's thread.
+    def ask_later(self, key: str, take: Callable[[Any], None], *, timeout: float) -> None:
+        """Send a bare request, and have the answer handed to `take` in the transport's thread.
 
         An error, or no answer within `timeout` seconds, is not reported. `take` must not block.
 

@@ -34,7 +34,7 @@ from uoarm._host.transport.transport import (
     answer_to,
     read_answer,
 )
-from uoarm._support.user_paths import expanded
+from uoarm._support.files import expanded
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
 MANAGER = "manager"
@@ -212,10 +212,8 @@ class ZenohTransport(Transport):
             raise LinkLostError(f"there is no answer at {key}")
         return _answer_in(replies[0], key)
 
-    def ask_later(
-        self, key: str, request: Any, take: Callable[[Any], None], *, timeout: float
-    ) -> None:
-        """Send a request, and have the answer handed to `take` in Zenoh's thread."""
+    def ask_later(self, key: str, take: Callable[[Any], None], *, timeout: float) -> None:
+        """Send a bare request, and have the answer handed to `take` in Zenoh's thread."""
         key = self._prefix + key
 
         # In a thread that also brings signs of life: `take` must not wait for anything.
@@ -228,7 +226,7 @@ class ZenohTransport(Transport):
                 take(answer)
 
         with _wrapped(f"asking {key}"):
-            self._session.get(key, _directly(handle), payload=pack(request), timeout=timeout)
+            self._session.get(key, _directly(handle), payload=pack(None), timeout=timeout)
 
     def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
         """Have requests at a key handed to `take`, in Zenoh's thread."""

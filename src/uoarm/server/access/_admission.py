@@ -21,7 +21,7 @@ from uoarm._support.files import stamp_of
 from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import is_loopback
 from uoarm.server.access._access_file import read_access
-from uoarm.server.access._role import LOCAL, AccessPolicy, AccessRole, Grant, Now, hash_token
+from uoarm.server.access._role import LOCAL, AccessPolicy, AccessRole, Grant, hash_token
 
 _FREE, _FREE_IN_ALL = 5, 50
 _FIRST_SECONDS = 0.1
@@ -224,7 +224,6 @@ class Admission:
         hosts: names by which the server is reached, beside those of loopback.
         local: whether the server listens on loopback, where Host is checked.
         slowest: seconds after which a wrong token is answered at the latest.
-        now: time of day, for expiry.
         exports: returns what other managers may import, by role.
 
     Attributes:
@@ -242,7 +241,6 @@ class Admission:
         hosts: tuple[str, ...] = (),
         local: bool = True,
         slowest: float = 2.5,
-        now: Now = lambda: datetime.now(timezone.utc),
         exports: Callable[[], Mapping[str, tuple[str, ...]]] = dict,
     ) -> None:
         self._exports = exports
@@ -250,7 +248,6 @@ class Admission:
         self._origins = origins
         self._hosts = hosts
         self._local = local
-        self._now = now
         self.wrong_tokens = WrongTokens(slowest)
         self._stamp = self._look()
         self._policy: AccessPolicy | None = None if access is None else read_access(access)
@@ -303,7 +300,7 @@ class Admission:
     def _whole_grant(self, credentials: Credentials) -> Grant | None:
         if self._policy is None:
             return LOCAL
-        now = self._now()
+        now = datetime.now(timezone.utc)
         grant = self._policy.grant_of(credentials.digest, now) if credentials.digest else None
         if grant is None and credentials.certificate:
             grant = self._policy.certificate_grant(credentials.certificate, now)

@@ -11,7 +11,7 @@ import re
 import secrets
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
 from enum import Enum
@@ -160,8 +160,6 @@ EVERYTHING = AccessRole(
     "local", everything=frozenset(Operation) - {Operation.CONFIGURE, Operation.KEEP}
 )
 
-
-Now = Callable[[], datetime]
 
 _TOKEN_BYTES = 32
 

@@ -1,7 +1,7 @@
 """What happens before a session: listening, handshakes, pages, metrics, front ends."""
 
 from uoarm.server.http._certificate import ShownCertificate, fingerprint_of, own_certificate
-from uoarm.server.http._handshake import OWN_PATHS, FrontEnds, HandshakeHandler
+from uoarm.server.http._handshake import FrontEnds, HandshakeHandler
 from uoarm.server.http._listener import (
     BACKLOG,
     ListeningSocket,
@@ -13,7 +13,6 @@ from uoarm.server.http._metrics import Metrics, Totals
 
 __all__ = [
     "BACKLOG",
-    "OWN_PATHS",
     "FrontEnds",
     "HandshakeHandler",
     "ListeningSocket",

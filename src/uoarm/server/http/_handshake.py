@@ -50,16 +50,10 @@ class FrontEnds:
     One that fails to load is listed in `problems` and harms no other.
 
     Args:
-        reserved: paths that the server has itself.
         given: instead of the installed ones.
     """
 
-    def __init__(
-        self,
-        reserved: Iterable[str] = (),
-        given: Iterable[FrontEnd] | None = None,
-    ) -> None:
-        self._reserved = frozenset(reserved)
+    def __init__(self, given: Iterable[FrontEnd] | None = None) -> None:
         self._by_name: dict[str, FrontEnd] = {}
         self._problems: list[PluginProblem] = []
         if given is not None:
@@ -126,7 +120,7 @@ class FrontEnds:
                     f"this uoarm has version {CONTRACT_VERSION}: install matching versions",
                 )
             )
-        elif one.path in self._reserved:
+        elif one.path in _OWN_PATHS:
             cause = f"front end {one.name!r} wants {one.path}, which is the server's own"
             self._problems.append(PluginProblem(plugin, cause))
         elif same:
@@ -137,7 +131,7 @@ class FrontEnds:
 
 
 _NATIVE_PATHS = frozenset({"/", "/uoarm"})
-OWN_PATHS = _NATIVE_PATHS | {"/healthz", "/metrics"}
+_OWN_PATHS = _NATIVE_PATHS | {"/healthz", "/metrics"}
 _VERSIONS = "uoarm.v"
 _TYPES = {
     ".css": "text/css; charset=utf-8",
