@@ -39,6 +39,7 @@ from uoarm_ros1._xmlrpc import (
     ParameterUpdate,
     PublisherUpdate,
     Shutdown,
+    TransportRefusal,
     decode_call,
     decode_reply,
     encode_call,
@@ -451,7 +452,8 @@ def test_the_node_answers_and_says_what_it_means() -> None:
     tcp = [["UDPROS"], ["TCPROS"]]
     assert node.answer("requestTopic", ["/a", "/t", tcp])[0] == [1, "ready", ["TCPROS", "here", 4]]
     assert node.answer("requestTopic", ["/a", "/other", tcp])[0][0] == -1
-    assert node.answer("requestTopic", ["/a", "/t", [["UDPROS"]]])[0][0] == 0
+    refused, event = node.answer("requestTopic", ["/a", "/t", [["UDPROS"]]])
+    assert (refused[0], event) == (0, TransportRefusal("/t"))
     update = node.answer("publisherUpdate", ["/master", "/t", ["http://a:1/"]])[1]
     assert update == PublisherUpdate("/t", ("http://a:1/",))
     assert node.answer("paramUpdate", ["/m", "/p/", 5])[1] == ParameterUpdate("/p/", 5)

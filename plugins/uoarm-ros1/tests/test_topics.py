@@ -10,6 +10,7 @@ import time
 from functools import partial
 from operator import lt
 from typing import Any
+from xmlrpc.client import ServerProxy
 
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
@@ -341,6 +342,22 @@ def test_another_definition_of_a_type_is_refused_with_both_sums(
     lasting.do("advertise", topic="/another", type="std_msgs/String")
     with bridge_to(master) as bridge, pytest.raises(BridgeError, match="da5909fbe378aeaf"):
         bridge.describe(output("/another", "std_msgs/String", definition="int32 data"))
+
+
+def test_a_subscriber_that_takes_no_tcpros_is_named(master: Master) -> None:
+    with bridge_to(master) as bridge:
+        reports = Reports(bridge)
+        at = input_("/hurried", "std_msgs/String", peer="optional", wait=0)
+        bridge.open_sink(at, ANY)
+        known: Any
+        node: Any
+        with ServerProxy(master.uri) as known:
+            (name,) = dict(known.getSystemState("/rviz")[2][0])["/hurried"]
+            address = known.lookupNode("/rviz", name)[2]
+        with ServerProxy(address) as node:
+            asked = [["UDPROS", "", "here", 1, 1500]]
+            assert node.requestTopic("/rviz", "/hurried", asked)[0] == 0
+        reports.wait(Health.DEGRADED, "/rviz wants /hurried over UDPROS alone")
 
 
 def test_a_type_that_is_not_published_is_refused_with_what_to_do(master: Master) -> None:

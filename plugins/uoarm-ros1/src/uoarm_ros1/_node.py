@@ -24,7 +24,13 @@ from uoarm_ros1._server import NodeServer, SocketLoop
 from uoarm_ros1._subscription import SubscriptionOptions, TopicSubscription
 from uoarm_ros1._tcpros import encode_header
 from uoarm_ros1._types import TypeStore, framed_writer, reader
-from uoarm_ros1._xmlrpc import NodeApi, ParameterUpdate, PublisherUpdate, Shutdown
+from uoarm_ros1._xmlrpc import (
+    NodeApi,
+    ParameterUpdate,
+    PublisherUpdate,
+    Shutdown,
+    TransportRefusal,
+)
 
 _ASK_SECONDS = 0.5
 _LOOPBACK = {"localhost", "127.0.0.1", "::1"}
@@ -404,6 +410,8 @@ class Node:
                 subscription.update(event.publishers)
         elif isinstance(event, ParameterUpdate):
             self.parameter_changed(event.key.rstrip("/"), event.value)
+        elif isinstance(event, TransportRefusal) and event.topic in self._publications:
+            self._publications[event.topic][0].refuse_transport(arguments[0][:200])
         elif isinstance(event, Shutdown):
             self._ended(event.reason)
         return result

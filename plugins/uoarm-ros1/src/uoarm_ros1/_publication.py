@@ -302,6 +302,10 @@ class TopicPublication:
             self._changed.notify_all()
         self._say(cause or f"{subscriber.caller} is gone")
 
+    def refuse_transport(self, caller: str) -> None:
+        """Say that a subscriber asks for what is not spoken here; in the loop's thread."""
+        self._say(f"{caller} wants {self.topic} over UDPROS alone, and not TCPROS", refused=True)
+
     def _say(self, what: str, *, refused: bool = False) -> None:
         for watcher in self.watchers:
             watcher(what, refused)

@@ -394,7 +394,14 @@ class Shutdown:
     reason: str
 
 
-Event = PublisherUpdate | ParameterUpdate | Shutdown
+@frozen
+class TransportRefusal:
+    """The caller asked for a topic of ours, and not over TCPROS."""
+
+    topic: str
+
+
+Event = PublisherUpdate | ParameterUpdate | Shutdown | TransportRefusal
 
 
 @define
@@ -462,13 +469,15 @@ class NodeApi:
     def _publications(self) -> tuple[list[Any], None]:
         return [_DONE, "", [[topic, kind] for topic, kind in self.publications.items()]], None
 
-    def _request_topic(self, topic: object, protocols: object) -> tuple[list[Any], None]:
+    def _request_topic(
+        self, topic: object, protocols: object
+    ) -> tuple[list[Any], TransportRefusal | None]:
         if not isinstance(topic, str) or topic not in self.publications:
             return [_WRONG, f"{self.caller} does not publish {str(topic)[:200]}", []], None
         wanted = protocols if isinstance(protocols, list) else []
         if any(isinstance(protocol, list) and protocol[:1] == ["TCPROS"] for protocol in wanted):
             return [_DONE, "ready", ["TCPROS", self.host, self.port]], None
-        return [_FAILED, "only TCPROS is spoken here", []], None
+        return [_FAILED, "only TCPROS is spoken here", []], TransportRefusal(topic)
 
     def _publisher_update(
         self, topic: object, publishers: object
