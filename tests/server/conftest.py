@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 from tests.server.browser import Browser, find_chromium
 from tests.server.robot import CONFIGURATION, script
+from tests.server.serving import servers
 from tests.server.talk import Talk
 from websockets.asyncio.server import ServerConnection
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
-from uoarm.server.front_end import FrontEnd
+from uoarm.server import Server
 from uoarm.testing import Proxy
 
 Serve = Callable[..., Server]
@@ -37,17 +37,7 @@ def robot() -> Iterator[RobotManager]:
 
 @pytest.fixture
 def serve(robot: RobotManager) -> Iterator[Serve]:
-    """Start a server; settings and limits by name."""
-    with ExitStack() as stack:
-
-        def start(
-            limits: Limits | None = None,
-            front_ends: Sequence[FrontEnd] | None = None,
-            **settings: Any,
-        ) -> Server:
-            chosen = ServerOptions(port=0, limits=limits or Limits(), **settings)
-            return stack.enter_context(serve_in_thread(robot, chosen, front_ends=front_ends))
-
+    with servers(robot) as start:
         yield start
 
 

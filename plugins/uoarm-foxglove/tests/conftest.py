@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
 from components import CONFIGURATION, renew
+from tests.server.serving import servers  # type: ignore[import-not-found]
 from viewer import Serve
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
 
 
 @pytest.fixture
@@ -31,11 +29,5 @@ def robot() -> Iterator[RobotManager]:
 
 @pytest.fixture
 def serve(robot: RobotManager) -> Iterator[Serve]:
-    """Start a server; settings and limits by name."""
-    with ExitStack() as stack:
-
-        def start(limits: Limits | None = None, **more: Any) -> Server:
-            chosen = ServerOptions(port=0, limits=limits or Limits(), **more)
-            return stack.enter_context(serve_in_thread(robot, chosen))
-
+    with servers(robot) as start:
         yield start

@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -16,10 +14,11 @@ sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests
 
 from agents import TOKENS, Agents, access_file
 from components import CONFIGURATION, script
+from tests.server.serving import servers  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
+from uoarm.server import Server
 
 _RELAXED = (HealthCheck.too_slow,)
 settings.register_profile(
@@ -44,15 +43,7 @@ def robot() -> Iterator[RobotManager]:
 
 @pytest.fixture
 def serve(robot: RobotManager) -> Iterator[Serve]:
-    """Start a server; settings and limits by name."""
-    with ExitStack() as stack:
-
-        def start(limits: Limits | None = None, **more: Any) -> Server:
-            chosen = ServerOptions(
-                port=0, front_end_ports={"mcp": 0}, limits=limits or Limits(), **more
-            )
-            return stack.enter_context(serve_in_thread(robot, chosen))
-
+    with servers(robot, front_end_ports={"mcp": 0}) as start:
         yield start
 
 

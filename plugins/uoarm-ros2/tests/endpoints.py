@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 from typing import Any
 
 from peers import Peer
@@ -66,3 +67,13 @@ def await_quiet_watch(out: Sink) -> None:
     """
     wait(lambda: any(thread.name.endswith(" quiet") for thread in threading.enumerate()))
     out.close()
+
+
+def write(folder: Path, **files: str) -> Path:
+    """Write definitions into a folder: `package__msg__Name` is the file of a type."""
+    for name, text in files.items():
+        package, kind, own = name.split("__")
+        path = folder / package / kind / f"{own}.{kind}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return folder

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import endpoint, known, sink, source
+from endpoints import endpoint, known, sink, source, write
 from messages import same
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
@@ -53,15 +53,6 @@ def own(share: Path, tmp_path: Path) -> Path:
     """A folder with the definitions of test_msgs, as a lab's own."""
     shutil.copytree(share / "test_msgs" / "msg", tmp_path / "own" / "test_msgs" / "msg")
     return tmp_path / "own"
-
-
-def write(folder: Path, **files: str) -> str:
-    for name, text in files.items():
-        package, kind, own = name.split("__")
-        path = folder / package / kind / f"{own}.{kind}"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    return str(folder)
 
 
 def hashes(share: Path) -> dict[str, str]:
@@ -156,7 +147,7 @@ def test_a_folder_of_another_version_than_the_node_has_is_refused(
 
 
 def test_a_type_that_holds_what_is_nowhere_names_file_and_line(tmp_path: Path) -> None:
-    folder = write(tmp_path, p__msg__Holds="int8 a\n\nq/Absent what  # of another package\n")
+    folder = str(write(tmp_path, p__msg__Holds="int8 a\n\nq/Absent what  # of another package\n"))
     with pytest.raises(BridgeError, match=r"Holds\.msg: line 3: q/msg/Absent is not defined"):
         DefinedTypes([folder]).find("p/msg/Holds")
 
@@ -183,7 +174,7 @@ def test_a_type_that_holds_what_is_nowhere_names_file_and_line(tmp_path: Path) -
 def test_a_broken_file_costs_its_own_types_and_what_holds_them(
     make_bridge: MakeBridge, tmp_path: Path, files: dict[str, str], name: str, words: str
 ) -> None:
-    folder = write(tmp_path, p__msg__Good="int8 a\nstring NONE=\n", **files)
+    folder = str(write(tmp_path, p__msg__Good="int8 a\nstring NONE=\n", **files))
     bridge = make_bridge(definitions=[folder])
     optional = endpoint(Role.INPUT, "/good", "p/msg/Good", peer="optional")
     assert bridge.describe(optional).message is not None
@@ -196,8 +187,8 @@ def test_a_broken_file_costs_its_own_types_and_what_holds_them(
 def test_a_type_of_two_folders_costs_itself_and_a_folder_that_is_none_is_refused(
     make_bridge: MakeBridge, tmp_path: Path
 ) -> None:
-    one = write(tmp_path / "one", p__msg__A="int8 a\n", p__msg__B="int8 a\n")
-    other = write(tmp_path / "other", p__msg__A="int16 a\n", p__msg__C="A a\n")
+    one = str(write(tmp_path / "one", p__msg__A="int8 a\n", p__msg__B="int8 a\n"))
+    other = str(write(tmp_path / "other", p__msg__A="int16 a\n", p__msg__C="A a\n"))
     types = DefinedTypes([one, other])
     assert types.find("p/msg/B") is not None
     for name in ("p/msg/A", "p/msg/C"):

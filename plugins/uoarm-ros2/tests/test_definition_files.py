@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from endpoints import write
 from uoarm_ros2._schema import describe_action, describe_service, structure_of
 from uoarm_ros2._types import import_type, shape_of
 from uoarm_ros2.definitions import RosDefinitions, read_definitions
@@ -88,15 +89,6 @@ def bare(schema: Any) -> Any:
     if isinstance(schema, dict):
         return {name: bare(value) for name, value in schema.items() if name != "default"}
     return [bare(item) for item in schema] if isinstance(schema, list) else schema
-
-
-def write(folder: Path, **files: str) -> Path:
-    for name, text in files.items():
-        package, kind, own = name.split("__")
-        path = folder / package / kind / f"{own}.{kind}"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    return folder
 
 
 def test_texts_are_read_as_they_are_written(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -18,10 +17,11 @@ from components import CONFIGURATION, cancelled
 from played import ANSWERS, Played
 from ros import Enter, Ros, Serve, url
 from tests.server.robot import script  # type: ignore[import-not-found]
+from tests.server.serving import servers  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
+from uoarm.server import Server
 
 # On a machine with other work everything is slow, which is no fault of what is drawn.
 _RELAXED = (HealthCheck.too_slow,)
@@ -50,13 +50,7 @@ def robot() -> Iterator[RobotManager]:
 
 @pytest.fixture
 def serve(robot: RobotManager) -> Iterator[Serve]:
-    """Start a server; settings and limits by name."""
-    with ExitStack() as stack:
-
-        def start(limits: Limits | None = None, **more: Any) -> Server:
-            chosen = ServerOptions(port=0, limits=limits or Limits(), **more)
-            return stack.enter_context(serve_in_thread(robot, chosen))
-
+    with servers(robot) as start:
         yield start
 
 

@@ -1,0 +1,27 @@
+"""Servers on loopback before a robot, as many as a test starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from uoarm import RobotManager
+from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
+from uoarm.server.front_end import FrontEnd
+
+
+@contextmanager
+def servers(robot: RobotManager, **always: Any) -> Iterator[Callable[..., Server]]:
+    """Start servers and end them all; settings and limits by name."""
+    with ExitStack() as stack:
+
+        def start(
+            limits: Limits | None = None,
+            front_ends: Sequence[FrontEnd] | None = None,
+            **settings: Any,
+        ) -> Server:
+            chosen = ServerOptions(port=0, limits=limits or Limits(), **always, **settings)
+            return stack.enter_context(serve_in_thread(robot, chosen, front_ends=front_ends))
+
+        yield start
