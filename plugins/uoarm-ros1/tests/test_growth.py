@@ -170,6 +170,7 @@ def test_links_of_two_nodes_ask_each_once_in_a_look(
         assert questions["getPid"] <= 2 * TOPICS / 4
         assert questions["lookupNode"] <= 2 * TOPICS / 4
         assert questions["getSystemState"] <= TOPICS / 4
+    other.kill()
 
 
 def opened(bridge: Bridge, topics: list[str]) -> list[Source]:
