@@ -265,3 +265,20 @@ def test_reading_makes_no_path_for_what_is_right() -> None:
         assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    "schema",
+    [
+        {"$ref": "#/$defs/a", "properties": {"own": OCTETS}},
+        {"allOf": [{"properties": {"own": OCTETS}}, {"$ref": "#/$defs/a"}]},
+        {"anyOf": [{"$ref": "#/$defs/a"}, {"type": "null"}], "properties": {"own": OCTETS}},
+        {"$ref": "#/$defs/turning", "properties": {"own": OCTETS}},
+    ],
+)
+def test_what_stands_beside_a_reference_or_a_choice_is_read_too(schema: dict[str, Any]) -> None:
+    other: dict[str, Any] = {"properties": {"other": OCTETS}}
+    turning = {"$ref": "#/$defs/turning", **other}
+    reader = make_reader({**schema, "$defs": {"a": other, "turning": turning}})
+    assert reader is not None
+    assert reader({"own": "AQ==", "other": "Ag=="}) == {"own": b"\x01", "other": b"\x02"}

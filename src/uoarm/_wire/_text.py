@@ -14,6 +14,7 @@ import re
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any, TypeAlias
 
 import orjson
@@ -327,18 +328,27 @@ class _Compiler:
         self._root = root
         self._references: dict[str, Reader | None] = {}
 
-    def reader(self, schema: object, depth: int) -> Reader | None:
+    def reader(
+        self, schema: object, depth: int, around: frozenset[str] = frozenset()
+    ) -> Reader | None:
+        """Return what reads a value; the references `around` it are to the same value."""
         if not isinstance(schema, Mapping) or depth > _MAX_DEPTH:
             return None
         if document_of(schema, self._root) is not self._root:
             return _Compiler(schema).reader(schema, depth)
-        if isinstance(reference := schema.get("$ref"), str):
-            return self._referred(reference, depth)
+        readers = [self._own(schema, depth)]
+        if isinstance(reference := schema.get("$ref"), str) and reference not in around:
+            readers.append(self._referred(reference, depth, around | {reference}))
+        parts = _sequence(schema.get("allOf"))
+        readers += [self.reader(part, depth + 1, around) for part in parts]
+        choices = (_sequence(schema.get(key)) for key in ("anyOf", "oneOf"))
+        readers += [self._first(branches, depth, around) for branches in choices]
+        every = [reader for reader in readers if reader is not None]
+        return every[0] if len(every) == 1 else partial(_in_turn, every) if every else None
+
+    def _own(self, schema: Mapping[str, object], depth: int) -> Reader | None:
         if schema.get("x-octets") is True:
             return _octets
-        for key in ("anyOf", "oneOf", "allOf"):
-            if isinstance(branches := schema.get(key), list | tuple):
-                return self._first(branches, depth)
         if schema.get("type") == "integer":
             return _integer
         if schema.get("type") == "number":
@@ -360,16 +370,18 @@ class _Compiler:
             return lambda value: _array(value, heads, items)
         return None
 
-    def _first(self, branches: Sequence[object], depth: int) -> Reader | None:
+    def _first(
+        self, branches: Sequence[object], depth: int, around: frozenset[str]
+    ) -> Reader | None:
         """Use the branch that converts, unless a branch takes strings as they are."""
         if any(
             isinstance(branch, Mapping) and branch.get("type") == "string" for branch in branches
         ):
             return None
-        readers = (self.reader(branch, depth + 1) for branch in branches)
+        readers = (self.reader(branch, depth + 1, around) for branch in branches)
         return next((reader for reader in readers if reader is not None), None)
 
-    def _referred(self, reference: str, depth: int) -> Reader | None:
+    def _referred(self, reference: str, depth: int, around: frozenset[str]) -> Reader | None:
         known = self._references
         if reference not in known:
 
@@ -378,8 +390,15 @@ class _Compiler:
                 return value if reader is None or reader is later else reader(value)
 
             known[reference] = later
-            known[reference] = self.reader(follow(self._root, reference), depth + 1)
+            known[reference] = self.reader(follow(self._root, reference), depth + 1, around)
         return known[reference]
+
+
+def _in_turn(readers: Sequence[Reader], value: Any) -> Any:
+    """Read as each says; what one has read is left by the next."""
+    for reader in readers:
+        value = reader(value)
+    return value
 
 
 def _object(value: Any, fields: Mapping[str, Reader], rest: Reader | None) -> Any:
