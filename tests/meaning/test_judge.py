@@ -323,3 +323,15 @@ def test_strict_implies_stated_and_stated_implies_off(one: Any, other: Any) -> N
     )
     assert stated or not strict
     assert off or not stated
+
+
+@pytest.mark.parametrize("is_choice", [False, True])
+def test_references_within_a_document_of_a_document_are_to_that(*, is_choice: bool) -> None:
+    length = {**closed(a={"$ref": "#/$defs/n"}), "$id": "http://here/b", "$defs": {"n": unit("m")}}
+    place = {"anyOf": [length, {"type": "null"}]} if is_choice else length
+    whole = {**closed(b=place), "$defs": {"n": NUMBER}}
+    for other in (closed(b=closed(a=unit("m"))), whole):
+        found = judge(whole, other)
+        assert (found.differences, found.unstated) == ((), ())
+    (difference,) = judge(whole, closed(b=closed(a=unit("ft")))).differences
+    assert (difference.path, difference.producer) == (("b", "a"), "x-unit m")

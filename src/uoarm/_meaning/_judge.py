@@ -7,6 +7,7 @@ or octets of which one side says nothing rests on shape alone, and is named.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any, TypeAlias
 
@@ -179,6 +180,9 @@ class _Walk:
             found.unstated.append(path)
         elif not _CHOICES.isdisjoint(schema):
             self.compare(schema, schema, path, said, said, False, found)
+        elif "$id" in schema and self._is_outside(schema, schema):
+            with self._within(schema, schema):
+                self.find_unstated(schema, path, said, found)
         elif "x-type" in schema and name_of_type(schema["x-type"]):
             return
         elif "x-octets" in schema:
@@ -250,6 +254,10 @@ class _Walk:
         covered: bool,  # noqa: FBT001 - as in `compare`
         found: _Findings,
     ) -> None:
+        if ("$id" in one or "$id" in other) and self._is_outside(one, other):
+            with self._within(one, other):
+                self._compare_views(one, other, path, mine, theirs, covered, found)
+            return
         if not (_WORDS_SAID.isdisjoint(one) and _WORDS_SAID.isdisjoint(other)):
             if "x-type" in one and "x-type" in other:
                 known = self._compare_types(one, other, path, found)
@@ -275,6 +283,20 @@ class _Walk:
             return
         if _is_number(one) and _is_number(other):
             found.unstated.append(path)
+
+    def _is_outside(self, one: Said, other: Said) -> bool:
+        """Say whether references within these schemas are to other documents than around them."""
+        return _is_another(one, self.producer) or _is_another(other, self.consumer)
+
+    @contextmanager
+    def _within(self, one: Said, other: Said) -> Iterator[None]:
+        around = self.producer, self.consumer
+        self.producer = one if _is_another(one, self.producer) else self.producer
+        self.consumer = other if _is_another(other, self.consumer) else self.consumer
+        try:
+            yield
+        finally:
+            self.producer, self.consumer = around
 
     def _compare_types(self, one: Said, other: Said, path: Path, found: _Findings) -> bool | None:
         """Say whether types are named that stand for the same; None: not on both sides."""
@@ -397,6 +419,13 @@ def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Findin
         lines = ", ".join(f"{name}: {number}" for name, number in by.lines.items())
         sentence = f"the units differ: {mine} becomes {theirs} with {lines}"
         found.differences.append(MeaningDifference(path, sentence, *reports, by))
+
+
+def _is_another(schema: Said, document: Any) -> bool:
+    """Say whether a schema is a document of its own; a view of a document is none."""
+    return "$id" in schema and (
+        not isinstance(document, Mapping) or schema["$id"] != document.get("$id")
+    )
 
 
 class _NotFollowedError(Exception):
