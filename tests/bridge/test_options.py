@@ -170,6 +170,16 @@ def test_an_editor_knows_the_options_of_a_bridge_by_its_plugin(
     )
 
 
+def test_references_in_options_lead_where_they_did_alone() -> None:
+    roof = {"enum": ["flat", "steep"]}
+    schema = {"properties": {"roof": {"$ref": "#/$defs/bridge"}}, "$defs": {"bridge": roof}}
+    kind = attrs.evolve(KIND, bridge_options=schema)
+    known = Draft202012Validator(completed_schema({"shed": kind}))
+    for form, fits in (("flat", True), ("round", False)):
+        bridges = {"shed": {"options": {"roof": form}}}
+        assert known.is_valid({"version": 1, "bridges": bridges, "functions": {}}) is fits
+
+
 def test_an_option_of_several_plugins_is_explained_for_each() -> None:
     other = attrs.evolve(KIND, name="barn")
     known = completed_schema({"shed": KIND, "barn": other})["$defs"]["input"]["properties"]

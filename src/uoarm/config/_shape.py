@@ -37,6 +37,7 @@ from uoarm._support.yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.errors import ConfigurationError
 from uoarm.model import BridgeSpec, Options, Robot
+from uoarm.schema import portable
 
 if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
@@ -69,7 +70,8 @@ def completed_schema(types: Mapping[str, BridgeType]) -> dict[str, Any]:
     definitions, named = schema["$defs"], {}
     cases = definitions["bridge"].setdefault("allOf", [])
     for name, kind in types.items():
-        definitions[f"options.{name}"] = kind.options_schema
+        inner, hoisted = portable(kind.options_schema, f"options.{name}", whole=True)
+        definitions |= {f"options.{name}": inner, **hoisted.get("$defs", {})}
         options = {"properties": {"options": {"$ref": f"#/$defs/options.{name}"}}}
         is_it = {"properties": {"plugin": {"const": name}}, "required": ["plugin"]}
         cases.append({"if": is_it, "then": options})

@@ -99,7 +99,9 @@ def change_parts(
     return made
 
 
-def portable(schema: Any, name: str = "message") -> tuple[Any, dict[str, Any]]:
+def portable(
+    schema: Any, name: str = "message", *, whole: bool = False
+) -> tuple[Any, dict[str, Any]]:
     """Return a schema for any place of another one, and the definitions that its root must have.
 
     References are seen from the root of a document. Where all are to definitions, these are what
@@ -108,12 +110,13 @@ def portable(schema: Any, name: str = "message") -> tuple[Any, dict[str, Any]]:
     Args:
         schema: a mapping or a bool.
         name: of the definition.
+        whole: make it one in any case, where names of its definitions may be others' there.
     """
     if not isinstance(schema, Mapping):
         return schema, {}
     inner = {keyword: value for keyword, value in schema.items() if keyword not in _OF_DOCUMENT}
     places = [part["$ref"] for part in _own_parts(inner) if isinstance(part.get("$ref"), str)]
-    if all(place.startswith(_DEFINED) for place in places):
+    if not whole and all(place.startswith(_DEFINED) for place in places):
         hoisted = {keyword: inner.pop(keyword) for keyword in _DEFINITIONS if keyword in inner}
         return inner, hoisted
     moved = _moved(inner, _address(schema), f"#/$defs/{name}")
