@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import re
@@ -214,6 +215,17 @@ def test_of_every_address_those_are_reported_that_can_be_opened(
     rests = f"or a certificate that rests on {authority.absolute()}\n"
     assert f"(uoarm token makes one), {rests}" in named
     assert "listening on" not in named
+
+
+def test_the_port_of_a_front_end_that_is_taken_is_named_by_its_option(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    settings = ServerOptions(port=909, front_end_ports={"lines": 9090})
+    for port, option in ((9090, "--front-end-port lines=PORT"), (909, "--port")):
+        why = f"cannot listen on {settings.place(port)}: Address already in use"
+        with pytest.raises(SystemExit):
+            _serve.cannot_listen(OSError(errno.EADDRINUSE, why), settings)
+        assert f"{why}; {option} takes another" in capsys.readouterr().err
 
 
 def test_a_port_that_is_taken_is_reported_in_one_line(refuse: Refuse) -> None:

@@ -263,11 +263,17 @@ def test_nothing_that_components_print_stands_among_the_answers(
         assert f"{who} says call\n" in errors
 
 
-def test_a_port_that_is_taken_is_said_without_a_number_of_the_system(tmp_path: Path) -> None:
+@pytest.mark.parametrize("option", ["--http", "--port"])
+def test_a_port_that_is_taken_is_said_without_a_number_of_the_system(
+    tmp_path: Path, option: str
+) -> None:
     (tmp_path / "robot.yaml").write_text("version: 1\nbridges: {}\nfunctions: {}\n")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        words = ["mcp", str(tmp_path / "robot.yaml"), "--http", "0", "--port", port]
+        words = ["mcp", str(tmp_path / "robot.yaml"), "--http", "0", "--port", "0", option, port]
         done = CliRunner().invoke(main, words)
     assert done.exit_code == 5, done.output
-    assert f"error: cannot listen on 127.0.0.1:{port}: Address already in use" in done.stderr
+    assert (
+        f"error: cannot listen on 127.0.0.1:{port}: Address already in use; {option} takes another"
+        in done.stderr
+    )

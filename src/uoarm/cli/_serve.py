@@ -178,7 +178,7 @@ def serve(
             ):
                 run(manager, chosen, ready)
         except OSError as error:
-            cannot_listen(error)
+            cannot_listen(error, chosen)
 
 
 _LAST_SECONDS = 1.0
@@ -238,10 +238,14 @@ def exporting(url: str | None) -> Iterator[None]:
             thread.join(max(0.0, ends - time.monotonic()))
 
 
-def cannot_listen(error: OSError) -> NoReturn:
-    """Say why a server cannot listen, and exit."""
-    hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
-    fail(f"{error.strerror or error}{hint}", _USED, "UOA-709")
+def cannot_listen(error: OSError, settings: ServerOptions) -> NoReturn:
+    """Say why a server cannot listen, and which option has it listen elsewhere; exit."""
+    why, option = error.strerror or str(error), "--port"
+    for name, port in settings.front_end_ports.items():
+        if f" {settings.place(port)}:" in why:
+            option = f"--front-end-port {name}=PORT"
+    hint = f"; {option} takes another" if error.errno == errno.EADDRINUSE else ""
+    fail(f"{why}{hint}", _USED, "UOA-709")
 
 
 @click.command()

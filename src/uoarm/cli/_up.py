@@ -84,7 +84,7 @@ def up(
                 with stopping(manager), _following(follower, every):
                     run(manager, chosen, lambda server: say(server, chosen, err=as_json))
             except OSError as error:
-                cannot_listen(error)
+                cannot_listen(error, chosen)
 
 
 class _Follower:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import ctypes
+import errno
 import fcntl
 import os
 import queue
@@ -80,6 +81,9 @@ def main(arguments: list[str] | None = None) -> int:
         ) from error
     except OSError as error:
         text = error.strerror or str(error)
+        if error.errno == errno.EADDRINUSE:
+            is_agents = given.http is not None and f" {options.place(given.http)}:" in text
+            text += f"; {'--http' if is_agents else '--port'} takes another"
         raise CommandLineError(text, exit_code=_USED, error_code="UOA-709") from error
     return 0
 
