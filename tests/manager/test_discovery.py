@@ -305,3 +305,26 @@ def test_a_bridge_that_started_late_has_its_time_to_answer_from_then_on(
         slow.may_answer.set()
         looking.close()
         lab.close()
+
+
+@pytest.mark.parametrize(
+    ("addresses", "is_used"),
+    [
+        ([("/head", "Image")], [True]),
+        ([("head", "Image")], [False]),
+        ([("/head", "Image"), ("/head", "parameter")], [False, False]),
+        ([("/head", "Image"), ("/head",)], [False, True]),
+        ([("/head", "Image", "more")], [False]),
+    ],
+)
+def test_an_address_that_leaves_out_the_type_is_that_of_what_is_listed(
+    addresses: list[tuple[str, ...]], is_used: list[bool]
+) -> None:
+    robot = loads(ROBOT.replace("[head]", "[/head]"))
+    ends = [Endpoint("lab", "node", Role.OUTPUT, address) for address in addresses]
+    node = Discovered("node", tuple((end, Description()) for end in ends))
+    found = discovery._findings("lab", "memory", (node,), discovery._users(robot))
+    (measured,) = discovery.with_rates((found,), {"head.default": 30.0}, robot)
+    ports = measured.components[0].ports
+    assert [port.used_by == ("head",) for port in ports] == is_used
+    assert [port.rate == 30.0 for port in ports] == is_used

@@ -222,6 +222,22 @@ def _listed(
     return listed
 
 
+def _in_full(known: _Known[T], endpoints: Iterable[Endpoint]) -> _Known[T]:
+    """Return what is known by the places that frameworks list.
+
+    An address may leave out its last part, such as the type: it is the only listed one with that.
+    """
+    listed = {_place(endpoint) for endpoint in endpoints}
+    longer: dict[_Place, list[_Place]] = {}
+    for bridge, role, address in listed:
+        longer.setdefault((bridge, role, address[:-1]), []).append((bridge, role, address))
+    made: _Known[T] = {}
+    for place, items in known.items():
+        fitting = [] if place in listed else longer.get(place, [])
+        made.setdefault(fitting[0] if len(fitting) == 1 else place, []).extend(items)
+    return made
+
+
 def _those_at(
     endpoint: Endpoint, listed: Mapping[_Place, list[Options]], known: _Known[T]
 ) -> Iterator[T]:
@@ -255,7 +271,9 @@ def _findings(
         return BridgeFindings(bridge, plugin, cause=str(none), error_code=none.error_code)
     components: list[FoundComponent] = []
     left, too_large = _MOST_PORTS, 0
-    listed = _listed((end for discovered in found for end, _ in discovered.endpoints), users)
+    ends = [end for discovered in found for end, _ in discovered.endpoints]
+    users = _in_full(users, ends)
+    listed = _listed(ends, users)
     for discovered in sorted(found, key=lambda item: item.name):
         taken = discovered.endpoints[: max(0, left)]
         left -= len(discovered.endpoints)
@@ -307,7 +325,9 @@ def with_rates(
                 known = measured.setdefault(_place(output.endpoint), [])
                 known.append((rate, component.parameters))
     seen = (component for finding in findings for component in finding.components)
-    listed = _listed((port.endpoint for component in seen for port in component.ports), measured)
+    ends = [port.endpoint for component in seen for port in component.ports]
+    measured = _in_full(measured, ends)
+    listed = _listed(ends, measured)
 
     def port_with(port: FoundPort) -> FoundPort:
         rate = next(_those_at(port.endpoint, listed, measured), None)
