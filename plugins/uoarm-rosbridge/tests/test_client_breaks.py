@@ -236,6 +236,19 @@ def test_a_question_without_an_answer_holds_up_no_message(played: Played) -> Non
         eventually(lambda: asked(played, "publish"), "the message comes")
 
 
+def test_a_bridge_whose_rosapi_does_not_answer_is_degraded_until_it_does(played: Played) -> None:
+    with hanging({"type": "std_msgs/String"}, times=1) as answer:
+        played.answers["topic_type"] = answer
+        with bridge_to(played.url, wait=0.5) as bridge:
+            events = health_events(bridge)
+            with pytest.raises(BridgeTimeoutError):
+                bridge.describe(TALK)
+            eventually(lambda: len(events) > 1, "it is asked again")
+    assert [event.health for event in events[:2]] == [Health.DEGRADED, Health.OK]
+    assert "does rosapi still run" in events[0].cause
+    assert events[1].cause == f"rosapi of {played.url} answers again"
+
+
 def test_questions_after_one_without_an_answer_are_answered(played: Played) -> None:
     with hanging({"type": "std_msgs/String"}, times=1) as answer:
         played.answers["topic_type"] = answer

@@ -116,6 +116,7 @@ class ServerConnection:
         self._unanswered_since: float | None = None
         self._patience = options.wait
         self._is_garbled = False  # whether the last frame could not be read
+        self._is_mute = False  # whether rosapi did not answer the last question
         # Octets of the longest message of this connection, and of those that the server has ended
         # one for: it has no operation that states its limit.
         self._longest = 0
@@ -242,7 +243,34 @@ class ServerConnection:
         Raises:
             BridgeError: it is not there, or fails.
         """
-        return self._questions._ask(service, within, arguments)  # noqa: SLF001 - of this class
+        try:
+            values = self._questions._ask(service, within, arguments)  # noqa: SLF001 - of this class
+        except BridgeTimeoutError as error:
+            if within is None or within >= self.options.wait:
+                self._note_rosapi(str(error))
+            raise
+        self._note_rosapi("")
+        return values
+
+    def ask_again(self) -> None:
+        """Ask rosapi whether it answers again, where it did not.
+
+        Raises:
+            BridgeError: as `rosapi`.
+        """
+        if self._is_mute:
+            self.rosapi("get_time")
+
+    def _note_rosapi(self, silence: str) -> None:
+        """Report that rosapi does not answer while its server does, or that it answers again."""
+        with self._changed:
+            if self._is_mute is bool(silence) or not self.is_up:
+                return
+            self._is_mute = bool(silence)
+        if silence:
+            self._report(Health.DEGRADED, silence)
+        else:
+            self._report(Health.OK, f"rosapi of {self.options.url} answers again")
 
     def _ask(self, service: str, within: float | None, arguments: Fields) -> Fields:
         seconds = self.options.wait if within is None else min(self.options.wait, within)
@@ -416,7 +444,7 @@ class ServerConnection:
         )
 
     def _begin(self, socket: ClientConnection, access: ServerAccess) -> None:
-        self._longest = 0
+        self._longest, self._is_mute = 0, False
         if access.authentication is not None:
             socket.send(json.dumps(access.authentication()))
         with self._standing_lock:

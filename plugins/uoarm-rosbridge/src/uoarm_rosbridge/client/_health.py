@@ -117,6 +117,8 @@ class PeerWatch:
         with self._lock:
             channels, lost = tuple(self._channels), dict(self._lost)
         is_new, self._is_new = self._is_new, False
+        with suppress(BridgeError):
+            self._connection.ask_again()
         for channel in channels:
             if not channel.closed:
                 with suppress(BridgeError):
