@@ -68,6 +68,7 @@ SUBJECTS = {
             "tests/control/test_transcripts.py",
             "tests/control/test_difference.py",
             "tests/control/test_every_order.py",
+            "tests/control/test_waiting.py",
         ),
         "not greater_depth and not TestWalk",
         ("step", "draft", "failover", "leaving", "switchover", "state"),
