@@ -37,22 +37,45 @@ NUMBER = {"type": "integer"}
 ROBOT = FACE + "failover: {return_after: 0.05, wait: 1}\n"
 
 
-@pytest.fixture
-def played(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> tuple[State, list[tuple[act.Action, ...]], list[str]]:
-    """Let a manager live through deaths and a return; return its beginning, actions and log."""
-    done: list[tuple[act.Action, ...]] = []
-    begun: list[State] = []
+class Steps:
+    """The steps of the managers of a test: states before them, and plans that they were given."""
 
-    def watched(state: State, event: ev.Event, now: float) -> tuple[State, tuple[act.Action, ...]]:
-        begun.append(state)
+    def __init__(self) -> None:
+        self.begun: list[State] = []
+        self.plans: dict[tuple[str, ...], Plan] = {}
+        self._done: list[tuple[act.Action, ...]] = []
+
+    def step(
+        self, state: State, event: ev.Event, now: float
+    ) -> tuple[State, tuple[act.Action, ...]]:
+        self.begun.append(state)
+        plan = getattr(event, "plan", None)
+        if plan is not None:
+            self.plans[plan.names] = plan
         after, actions = step(state, event, now)
-        done.append(actions)
+        self._done.append(actions)
         return after, actions
 
-    monkeypatch.setattr(driver, "step", watched)
+    def logged(self, caplog: pytest.LogCaptureFixture) -> list[tuple[str, tuple[act.Action, ...]]]:
+        """Return the actions of each step with the line that was logged before it."""
+        # In this order: a plan may have run out after its manager was closed, in a thread.
+        done = tuple(self._done)
+        lines = [record.getMessage() for record in caplog.records if record.name == "uoarm.control"]
+        assert len(lines) >= len(done)
+        return list(zip(lines, done, strict=False))
+
+
+@pytest.fixture
+def steps(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> Steps:
+    found = Steps()
+    monkeypatch.setattr(driver, "step", found.step)
     caplog.set_level(logging.DEBUG, "uoarm.control")
+    return found
+
+
+def test_a_log_of_events_replays_to_the_same_actions(
+    steps: Steps, caplog: pytest.LogCaptureFixture
+) -> None:
     one, two = MemoryBridge("one", {}), MemoryBridge("two", {})
     one.emitter("best", NUMBER)
     two.emitter("spare", NUMBER)
@@ -67,22 +90,15 @@ def played(
         camera.kill()
         two.die("finder", "it fell")
         wait(lambda: face.ended)
-    lines = [record.getMessage() for record in caplog.records if record.name == "uoarm.control"]
-    return begun[0], done, lines
-
-
-def test_a_log_of_events_replays_to_the_same_actions(
-    played: tuple[State, list[tuple[act.Action, ...]], list[str]],
-) -> None:
-    state, done, lines = played
     plans = Plans(ROBOT)
     every = {component.name for component in plans.robot.components()}
 
     def find_plan(function: str, components: tuple[str, ...]) -> Plan:
         return plans(function, frozenset(every - {*components, "finder"}))
 
-    assert len(lines) == len(done) > 15
-    for line, actions in zip(lines, done, strict=True):
+    logged, state = steps.logged(caplog), steps.begun[0]
+    assert len(logged) > 15
+    for line, actions in logged:
         event, now = read_event(line, find_plan)
         state, again = step(state, event, now)
         assert list(map(repr, again)) == list(map(repr, actions)), line
@@ -156,24 +172,9 @@ functions:
 
 
 def test_what_is_discovered_is_in_the_log_and_replays(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    steps: Steps, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("uoarm._resolve._discovery._EVERY_SECONDS", 0.05)
-    done: list[tuple[act.Action, ...]] = []
-    begun: list[State] = []
-    plans: dict[tuple[str, ...], Plan] = {}
-
-    def watched(state: State, event: ev.Event, now: float) -> tuple[State, tuple[act.Action, ...]]:
-        begun.append(state)
-        plan = getattr(event, "plan", None)
-        if plan is not None:
-            plans[plan.names] = plan
-        after, actions = step(state, event, now)
-        done.append(actions)
-        return after, actions
-
-    monkeypatch.setattr(driver, "step", watched)
-    caplog.set_level(logging.DEBUG, "uoarm.control")
     one = MemoryBridge("one", {})
     one.emitter("first", NUMBER)
     with RobotManager(loads(NEEDS), bridges={"one": one}) as robot:
@@ -182,11 +183,10 @@ def test_what_is_discovered_is_in_the_log_and_replays(
         wait(lambda: len(robot.config.functions["camera"].components) == 2)
         one.die("first", "it was unplugged")
         wait(lambda: camera.gaps)
-    lines = [record.getMessage() for record in caplog.records if record.name == "uoarm.control"]
-    state = begun[0]
+    logged, state = steps.logged(caplog), steps.begun[0]
     events = []
-    for line, actions in zip(lines, done, strict=True):
-        event, now = read_event(line, lambda _, these: plans[these])
+    for line, actions in logged:
+        event, now = read_event(line, lambda _, these: steps.plans[these])
         events.append(event)
         state, again = step(state, event, now)
         assert list(map(repr, again)) == list(map(repr, actions)), line
