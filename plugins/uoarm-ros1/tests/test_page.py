@@ -49,6 +49,10 @@ def test_the_example_runs_as_printed(master: Master, tmp_path: Path) -> None:
         done = _run("application", tmp_path)
         assert done.stdout == "Kia ora\noff\n", done.stderr
         assert "output  /chatter, std_msgs/String" in _run("uoarm discover", tmp_path).stdout
+        # It is named there already, without its type; where it is not, it is suggested.
+        assert "/chatter" not in _run("uoarm suggest", tmp_path).stdout
+        bridges, _, _ = robot.replace("127.0.0.1", master.host).partition("functions:")
+        (tmp_path / "robot.yaml").write_text(f"{bridges}functions: {{}}\n")
         assert "chatter: {endpoint:" in _run("uoarm suggest", tmp_path).stdout
     finally:
         os.killpg(shell.pid, 9)
