@@ -150,6 +150,13 @@ def test_a_node_that_hangs_is_asked_once_whatever_is_lost_of_it(
     peer.kill()
 
 
+def test_a_node_does_not_ask_where_it_is_itself(master: Master, questions: Counter[str]) -> None:
+    with bridge_to(master, check=patience(), rosout=False) as bridge:
+        assert isinstance(bridge, Ros1Bridge)
+        assert Graph(bridge._node).is_alive(bridge._node.name)
+    assert not questions["lookupNode"]
+
+
 def test_links_of_two_nodes_ask_each_once_in_a_look(
     master: Master, lasting: Peer, questions: Counter[str]
 ) -> None:

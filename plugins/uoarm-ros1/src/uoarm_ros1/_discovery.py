@@ -75,7 +75,8 @@ class Graph:
     def is_alive(self, name: str) -> bool:
         """Whether a node answers: one that was killed is known to the master still."""
         if name not in self._alive:
-            self._alive[name] = self._node.answers(name, self.address(name))
+            node = self._node  # which need not ask the master where it is itself
+            self._alive[name] = name == node.name or node.answers(self.address(name))
         return self._alive[name]
 
     def header(self, name: str, topic: str, kind: str) -> PublisherHeader | str:

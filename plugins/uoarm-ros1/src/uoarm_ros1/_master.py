@@ -164,13 +164,11 @@ class PeerApi:
     """The API of another node, for all channels that are connected to it. Thread safe.
 
     Attributes:
-        uri: its address.
         pid: of its process, which says that it lives.
         connections: as it lists them: of hundreds an answer takes a node in Python 20 ms.
     """
 
     def __init__(self, uri: str, caller: str) -> None:
-        self.uri = uri
         call = partial(call_api, uri, what="the node")
         self.pid: SharedAnswer[object] = SharedAnswer(partial(call, "getPid", caller))
         self.connections: SharedAnswer[object] = SharedAnswer(partial(call, "getBusInfo", caller))

@@ -314,10 +314,8 @@ class Node:
             return self.master.node_uri(node)
         return ""
 
-    def answers(self, node: str, address: str) -> bool:
+    def answers(self, address: str) -> bool:
         """Whether a node answers at an address."""
-        if node == self.name:
-            return True
         try:
             call_api(address, "getPid", self.name, seconds=_ASK_SECONDS)
         except BridgeError:
