@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import gc
 import json
 import re
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import Mock
@@ -231,6 +235,38 @@ def test_a_test_that_works_too_long_fails_however_fast_the_machine(run: Run) -> 
     )
     found.assert_outcomes(failed=1, passed=2)
     found.stdout.fnmatch_lines(["*s of processor time: make it less, or mark it long"])
+
+
+def test_a_step_takes_what_is_done_in_it_without_collections(
+    longest_step: Callable[[str], float],
+) -> None:
+    kept = [[number] for number in range(200_000)]
+    collections: list[float] = []
+
+    def collect() -> None:
+        begin = time.thread_time()
+        gc.collect()
+        collections.append(time.thread_time() - begin)
+
+    def work() -> None:
+        end = time.thread_time() + 2 * collections[0]
+        while time.thread_time() < end:
+            pass
+
+    longest: list[float] = []
+
+    async def steps() -> None:
+        for step in (collect, work):
+            asyncio.get_running_loop().call_soon(step)
+            await asyncio.sleep(0)
+            longest.append(longest_step("steps"))
+
+    thread = threading.Thread(target=lambda: asyncio.run(steps()), name="steps")
+    thread.start()
+    thread.join(patience())
+    assert longest[0] < collections[0] / 2
+    assert longest[1] >= 2 * collections[0]
+    assert len(kept) == 200_000
 
 
 ORDERED = """

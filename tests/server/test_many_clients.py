@@ -1,7 +1,7 @@
 """Handlers whose cost grows with the robot, asked by many clients at once: the loop stays free.
 
-What a client waits for is the longest step of the loop, in CPU time: that does not depend on what
-else the machine does.
+What a client waits for is the longest step of the loop, in CPU time: that hardly depends on what
+else the machine does, and the limit is thirty times what a step takes.
 """
 
 from __future__ import annotations
