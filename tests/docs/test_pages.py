@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import shlex
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import textwrap
 from collections import Counter
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -201,6 +203,20 @@ def test_pages_show_errors_as_they_are_printed() -> None:
 @pytest.mark.parametrize("block", [item for item in EVERY if item.language == "python"], ids=str)
 def test_programs_are_python(block: Block) -> None:
     compile(block.text, str(block), "exec")
+
+
+def test_what_programs_import_of_ours_exists() -> None:
+    imported = {
+        (str(block), str(node.module), alias.name)
+        for block in EVERY
+        if block.language == "python"
+        for node in ast.walk(ast.parse(block.text))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "uoarm"
+        for alias in node.names
+    }
+    assert len(imported) > 20
+    missing = {place for place in imported if not hasattr(import_module(place[1]), place[2])}
+    assert not missing
 
 
 @pytest.mark.parametrize(("block", "line"), COMMANDS, ids=lambda item: str(item)[:60])
