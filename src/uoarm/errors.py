@@ -11,6 +11,7 @@ UoarmError
 ├── ControlMessageError    the client: a control message that cannot be read
 ├── ConnectionClosedError  the caller: the handle or manager was closed before the call
 ├── UsageError             the caller: an operation that this connection does not have
+├── ListenError            the operator: a port is taken, or may not be listened on
 └── CommandLineError       who typed a command: its words are wrong, or it cannot do its work
 
 `BridgeError.reason` says which kind of failure it was, for programs that must branch on it.
@@ -19,6 +20,9 @@ UoarmError
 
 from __future__ import annotations
 
+import errno
+import os
+from collections.abc import Mapping
 from enum import Enum
 
 __all__ = [
@@ -30,6 +34,7 @@ __all__ = [
     "ConnectionClosedError",
     "ControlMessageError",
     "FailureReason",
+    "ListenError",
     "MessageError",
     "PluginError",
     "ResolutionError",
@@ -170,6 +175,33 @@ class UsageError(UoarmError, TypeError):
     """The operation does not exist on this function, for example `send` without an input."""
 
     error_code = "UOA-503"
+
+
+class ListenError(UoarmError, OSError):
+    """A server cannot listen; the text says where, and why.
+
+    Args:
+        place: host and port, as text.
+        port: of the place.
+        cause: what the system said.
+
+    Attributes:
+        port: on which it would have listened.
+    """
+
+    error_code = "UOA-709"
+
+    def __init__(self, place: str, port: int, cause: OSError) -> None:
+        number = cause.errno or 0  # of the resolver's errors it is negative
+        reason = os.strerror(number) if number > 0 else cause.strerror or str(cause)
+        super().__init__(f"cannot listen on {place}: {reason}")
+        self.errno = number
+        self.port = port
+
+    def name_option(self, options: Mapping[int, str]) -> None:
+        """Say in the text which of a command's options, by their ports, takes another port."""
+        if self.errno == errno.EADDRINUSE:
+            self.args = (f"{self}; {options[self.port]} takes another",)
 
 
 class CommandLineError(UoarmError):

@@ -17,7 +17,7 @@ from xmlrpc.client import Fault, ServerProxy
 import pytest
 
 from uoarm._host import XmlRpcServer, xmlrpc_server
-from uoarm.errors import BridgeError
+from uoarm.errors import ListenError
 from uoarm.model import Endpoint, Role
 from uoarm.testing import MemoryBridge, ResourceSnapshot, patience
 
@@ -171,7 +171,8 @@ def test_idle_connections_cost_few_threads_and_end(
 
 
 def test_a_port_that_is_taken_is_named(face: XmlRpcServer) -> None:
-    with pytest.raises(BridgeError, match=f"port {face.port} .*: Address already in use$"):
+    place = f"127.0.0.1:{face.port}"
+    with pytest.raises(ListenError, match=f"cannot listen on {place}: Address already in use$"):
         XmlRpcServer(MemoryBridge("other", {}), [], face.port)
 
 

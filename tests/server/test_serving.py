@@ -18,7 +18,7 @@ import urllib.request
 from asyncio.selector_events import BaseSelectorEventLoop
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from unittest.mock import AsyncMock, create_autospec
+from unittest.mock import AsyncMock, Mock, create_autospec
 
 import pytest
 from attrs import evolve
@@ -32,8 +32,8 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from uoarm import RobotManager
-from uoarm.cli import _serve, main
-from uoarm.errors import ConfigurationError
+from uoarm.cli import _serve, _up, main
+from uoarm.errors import ConfigurationError, ListenError
 from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run, serve_in_thread
 from uoarm.testing import ResourceSnapshot, patience, wait
 
@@ -126,13 +126,13 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
 @pytest.fixture
 def refuse(tmp_path: Path) -> Refuse:
-    """Run `uoarm serve` in this process, where it ends at once."""
+    """Run a command that serves in this process, where it ends at once."""
     file = tmp_path / "robot.yaml"
     file.write_text(CONFIGURATION, encoding="utf-8")
 
-    def begin(*arguments: str) -> Result:
+    def begin(*arguments: str, command: str = "serve") -> Result:
         state = {"XDG_STATE_HOME": str(tmp_path / "state")}
-        return CliRunner().invoke(main, ["serve", str(file), *arguments], env=state)
+        return CliRunner().invoke(main, [command, str(file), *arguments], env=state)
 
     return begin
 
@@ -217,25 +217,44 @@ def test_of_every_address_those_are_reported_that_can_be_opened(
     assert "listening on" not in named
 
 
-def test_the_port_of_a_front_end_that_is_taken_is_named_by_its_option(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    settings = ServerOptions(port=909, front_end_ports={"lines": 9090})
-    for port, option in ((9090, "--front-end-port lines=PORT"), (909, "--port")):
-        why = f"cannot listen on {settings.place(port)}: Address already in use"
-        with pytest.raises(SystemExit):
-            _serve.cannot_listen(OSError(errno.EADDRINUSE, why), settings)
-        assert f"{why}; {option} takes another" in capsys.readouterr().err
-
-
-def test_a_port_that_is_taken_is_reported_in_one_line(refuse: Refuse) -> None:
+@pytest.mark.parametrize("option", ["--port", "--front-end-port lines=PORT"])
+def test_a_server_that_cannot_listen_says_at_which_port(robot: RobotManager, option: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        done = refuse("--port", str(port))
+        main_port, lines_port = (port, 0) if option == "--port" else (0, port)
+        settings = ServerOptions(port=main_port, front_end_ports={"lines": lines_port})
+        serving = serve_in_thread(robot, settings, front_ends=[LINES])
+        with pytest.raises(OSError, match="Address already in use") as refused, serving:
+            pass
+    error = refused.value
+    assert isinstance(error, ListenError)
+    assert error.port == port
+    error.name_option(_serve.port_options(settings))
+    why = f"cannot listen on 127.0.0.1:{port}: Address already in use"
+    assert str(error) == f"{why}; {option} takes another"
+
+
+@pytest.mark.parametrize("command", ["serve", "up"])
+def test_a_port_that_is_taken_is_reported_in_one_line(
+    command: str, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_up, "with_every_plugin", lambda robot, _: robot)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = refuse("--port", str(port), command=command)
     assert done.exit_code == 5
-    assert f"cannot listen on 127.0.0.1:{port}" in done.stderr
-    assert "--port" in done.stderr
+    why = f"cannot listen on 127.0.0.1:{port}: Address already in use"
+    assert f"error: {why}; --port takes another\nuoarm explain UOA-709" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_what_cannot_be_printed_is_no_port_that_is_taken(
+    refuse: Refuse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_serve, "say", Mock(side_effect=OSError(errno.ENOSPC, "no room")))
+    done = refuse("--port", "0")
+    assert done.exit_code == 1
+    assert "error: nothing more can be written: no room\nuoarm explain UOA-003" in done.stderr
 
 
 def test_tls_auto_shows_the_fingerprint(start: Start, tmp_path: Path) -> None:

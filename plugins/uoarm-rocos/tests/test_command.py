@@ -71,7 +71,8 @@ def test_a_taken_place_is_named(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         refused = CliRunner().invoke(uoarm, ["rocos", "simulate", "robot", "--tcp", str(port)])
-    assert f"port {port} of loopback cannot be opened: Address already in use\n" in refused.output
+    assert f"cannot listen on 127.0.0.1:{port}: Address already in use\n" in refused.output
+    assert refused.exit_code == 5
     (tmp_path / "notes").write_text("of a person")
     for name, why in (("nowhere/clip", "No such file or directory"), ("notes", "File exists")):
         link = str(tmp_path / name)

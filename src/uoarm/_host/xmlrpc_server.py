@@ -18,7 +18,7 @@ from xmlrpc.client import Fault, dumps
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 from uoarm.bridge import Bridge
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, ListenError
 from uoarm.model import Endpoint, to_json, write_json
 
 _LOOPBACK = "127.0.0.1"
@@ -45,15 +45,14 @@ class XmlRpcServer:
         port: to listen on; 0: any free one.
 
     Raises:
-        BridgeError: the port cannot be had.
+        ListenError: the port cannot be had.
     """
 
     def __init__(self, bridge: Bridge, endpoints: Iterable[Endpoint], port: int = 0) -> None:
         try:
             self._server = _Server((_LOOPBACK, port))
         except OSError as error:
-            text = f"XML-RPC cannot listen on port {port} of {_LOOPBACK}: {error.strerror}"
-            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+            raise ListenError(f"{_LOOPBACK}:{port}", port, error) from error
         self._server.register_instance(_Database(bridge, endpoints))
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.1,), name="uoarm-xmlrpc", daemon=True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import logging
 import os
@@ -15,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -27,7 +26,6 @@ from uoarm._version import __version__
 from uoarm.cli._announce import Announcement
 from uoarm.cli._output import echo
 from uoarm.cli._shared import (
-    fail,
     is_address,
     needing,
     open_robot,
@@ -36,13 +34,12 @@ from uoarm.cli._shared import (
     reporting,
     takes_configuration,
 )
-from uoarm.errors import UoarmError
+from uoarm.errors import ListenError, UoarmError
 
 if TYPE_CHECKING:
     from uoarm.server import Server, ServerOptions
 
 _log = logging.getLogger("uoarm")
-_USED = 5
 _LOOK_SECONDS = 0.5
 _END_SECONDS = 5.0
 _BEGINS_STOPPED = (
@@ -177,8 +174,9 @@ def serve(
                 announcement or nullcontext(),
             ):
                 run(manager, chosen, ready)
-        except OSError as error:
-            cannot_listen(error, chosen)
+        except ListenError as error:
+            error.name_option(port_options(chosen))
+            raise
 
 
 _LAST_SECONDS = 1.0
@@ -238,14 +236,12 @@ def exporting(url: str | None) -> Iterator[None]:
             thread.join(max(0.0, ends - time.monotonic()))
 
 
-def cannot_listen(error: OSError, settings: ServerOptions) -> NoReturn:
-    """Say why a server cannot listen, and which option has it listen elsewhere; exit."""
-    why, option = error.strerror or str(error), "--port"
-    for name, port in settings.front_end_ports.items():
-        if f" {settings.place(port)}:" in why:
-            option = f"--front-end-port {name}=PORT"
-    hint = f"; {option} takes another" if error.errno == errno.EADDRINUSE else ""
-    fail(f"{why}{hint}", _USED, "UOA-709")
+def port_options(settings: ServerOptions) -> dict[int, str]:
+    """Return the option of each port that is listened on."""
+    of_front_ends = {
+        port: f"--front-end-port {name}=PORT" for name, port in settings.front_end_ports.items()
+    }
+    return {settings.port: "--port", **of_front_ends}
 
 
 @click.command()

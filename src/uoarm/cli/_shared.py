@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from uoarm.model import Function, Message
 
 F = TypeVar("F", bound=Callable[..., Any])
-REFUSED, CONFIGURATION, BRIDGE, INTERRUPTED = 1, 3, 4, 130
+REFUSED, CONFIGURATION, BRIDGE, CANNOT_LISTEN, INTERRUPTED = 1, 3, 4, 5, 130
 JSON = "uoarm.json"  # of the context: whether `--json` is among the words
 _NAMED = 20
 STANDARD = "robot.yaml"
@@ -169,6 +169,8 @@ def exit_code_of(error: errors.UoarmError) -> int:
         return error.exit_code
     if isinstance(error, errors.ConfigurationError):
         return CONFIGURATION
+    if isinstance(error, errors.ListenError):
+        return CANNOT_LISTEN
     refusals = errors.ResolutionError, errors.MessageError, errors.UsageError
     return REFUSED if isinstance(error, refusals) else BRIDGE
 

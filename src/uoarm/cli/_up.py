@@ -14,7 +14,7 @@ from uoarm._raised import foreign, sentence_of
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
 from uoarm.cli._output import echo, styled
-from uoarm.cli._serve import cannot_listen, listening_options, say, stop_file_of, stopping
+from uoarm.cli._serve import listening_options, say, stop_file_of, stopping
 from uoarm.cli._shared import (
     DefaultConfiguration,
     Seconds,
@@ -24,7 +24,7 @@ from uoarm.cli._shared import (
     takes_configuration,
 )
 from uoarm.config import add_functions, load
-from uoarm.errors import ConnectionClosedError, UoarmError
+from uoarm.errors import ConnectionClosedError, ListenError, UoarmError
 from uoarm.model import BridgeFindings, Robot, to_json, write_json
 
 _END_SECONDS = 5.0
@@ -83,8 +83,9 @@ def up(
             try:
                 with stopping(manager), _following(follower, every):
                     run(manager, chosen, lambda server: say(server, chosen, err=as_json))
-            except OSError as error:
-                cannot_listen(error, chosen)
+            except ListenError as error:
+                error.name_option({port: "--port"})
+                raise
 
 
 class _Follower:

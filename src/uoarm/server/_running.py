@@ -136,7 +136,7 @@ def run(
         ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
         UsageError: `UOARM_SWITCH_INTERVAL`, `NOTIFY_SOCKET` or `WATCHDOG_USEC` is not what it
             should be.
-        OSError: a port is taken.
+        ListenError: a port is taken.
     """
     keep_memory()
     with short_switch_interval():
@@ -161,7 +161,7 @@ def serve_in_thread(
 
     Raises:
         ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
-        OSError: a port is taken.
+        ListenError: a port is taken.
         TimeoutError: it does not listen after ten seconds; nothing is left open.
     """
     server = Server(robot, settings, front_ends)

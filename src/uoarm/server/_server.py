@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
-import os
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from functools import cache
@@ -19,7 +18,7 @@ from uoarm._control import RobotManager
 from uoarm._raised import foreign
 from uoarm._support.process_tuning import give_memory_back
 from uoarm._wire import FORMS, TEXT_FORM
-from uoarm.errors import ConfigurationError, UsageError
+from uoarm.errors import ConfigurationError, ListenError, UsageError
 from uoarm.model import StatusEvent
 from uoarm.server._options import ServerOptions
 from uoarm.server.access import Admission, Audit, AuditFile
@@ -153,7 +152,7 @@ class Server:
         """Listen.
 
         Raises:
-            OSError: a port is taken, or the address is none of this machine; the text names it.
+            ListenError: a port is taken, or the address is none of this machine.
             ConfigurationError: the audit log, or recordings to their folder, cannot be written.
         """
         if self._settings.recordings is not None:
@@ -289,11 +288,7 @@ class Server:
         try:
             sockets = await listen(self._settings.host, port)
         except OSError as error:
-            number = error.errno or 0  # of the resolver's errors it is negative
-            reason = os.strerror(number) if number > 0 else error.strerror or str(error)
-            raise OSError(
-                number, f"cannot listen on {self._settings.place(port)}: {reason}"
-            ) from error
+            raise ListenError(self._settings.place(port), port, error) from error
         self._ports.append(sockets[0].getsockname()[1])
         return sockets
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import ctypes
-import errno
 import fcntl
 import os
 import queue
@@ -26,14 +25,14 @@ from mcp_types import INVALID_REQUEST, PARSE_ERROR, jsonrpc_message_adapter
 from pydantic import ValidationError
 
 from uoarm import RobotManager
-from uoarm.errors import CommandLineError, ControlMessageError
+from uoarm.errors import CommandLineError, ControlMessageError, ListenError
 from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.plugins import Command, CommandParser, hookimpl
 from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run
 from uoarm.server.front_end import Discoveries, RefusedError
 from uoarm_mcp._service import AgentService
 
-_REFUSED, _USED = 1, 5
+_REFUSED = 1
 _LAST_PORT = 65_535
 _LINE_OCTETS = 1_048_576
 _CHUNK_OCTETS = 65_536
@@ -79,12 +78,9 @@ def main(arguments: list[str] | None = None) -> int:
         raise CommandLineError(
             str(error), exit_code=_REFUSED, error_code=error.error_code
         ) from error
-    except OSError as error:
-        text = error.strerror or str(error)
-        if error.errno == errno.EADDRINUSE:
-            is_agents = given.http is not None and f" {options.place(given.http)}:" in text
-            text += f"; {'--http' if is_agents else '--port'} takes another"
-        raise CommandLineError(text, exit_code=_USED, error_code="UOA-709") from error
+    except ListenError as error:
+        error.name_option({given.port: "--port", given.http: "--http"})
+        raise
     return 0
 
 

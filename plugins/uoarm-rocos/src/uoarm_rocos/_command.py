@@ -162,13 +162,13 @@ def _end(line: dict[str, Any]) -> LineEnd:
         raise click.UsageError("say where: --pty, or --tcp PORT")
     if line["link"] and not line["pty"]:
         raise click.UsageError("--link goes with --pty")
+    if line["tcp"] is not None:
+        return TcpEnd(line["tcp"])
     try:
-        return PtyEnd(line["link"]) if line["pty"] else TcpEnd(line["tcp"])
+        return PtyEnd(line["link"])
     except OSError as error:
-        named = line["link"] or "a tty"
-        place = named if line["pty"] else f"port {line['tcp']} of loopback"
         reason = os.strerror(error.errno) if error.errno else str(error)
-        text = f"{place} cannot be opened: {reason}"
+        text = f"{line['link'] or 'a tty'} cannot be opened: {reason}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 
 

@@ -17,7 +17,7 @@ from typing import Protocol
 
 from attrs import frozen
 
-from uoarm.errors import BridgeError
+from uoarm.errors import BridgeError, ListenError
 
 _MOST = 65_536
 _WRITE_SECONDS = 1.0
@@ -137,12 +137,19 @@ class PtyEnd(LineEnd):
 
 
 class TcpEnd(LineEnd):
-    """A listening socket on loopback; port 0 takes a free one."""
+    """A listening socket on loopback; port 0 takes a free one.
+
+    Raises:
+        ListenError: the port cannot be had.
+    """
 
     framed = True
 
     def __init__(self, port: int = 0) -> None:
-        self._server = socket.create_server(("127.0.0.1", port))
+        try:
+            self._server = socket.create_server(("127.0.0.1", port))
+        except OSError as error:
+            raise ListenError(f"127.0.0.1:{port}", port, error) from error
         self._host: socket.socket | None = None
         self._writer: socket.socket | None = None  # the same connection, with a limit of its own
         self.where = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
