@@ -20,7 +20,16 @@ from uoarm._parts import LiveComponent, OfferedFunction
 from uoarm._resolve import find_replacement
 from uoarm.config import loads
 from uoarm.errors import ResolutionError
-from uoarm.model import FailoverPolicy, Health, OfferState, Plan, PortRef, ValidationMode
+from uoarm.model import (
+    Component,
+    FailoverPolicy,
+    Health,
+    OfferState,
+    Plan,
+    PortRef,
+    Robot,
+    ValidationMode,
+)
 from uoarm.testing import MemoryBridge, patience, wait
 
 NAMES = tuple(f"camera{number}" for number in range(12))
@@ -329,3 +338,25 @@ def test_a_component_that_closes_looks_at_no_other_that_does(
         for name in NAMES:
             robot.request(f"{name}s")
     assert sorted(looks) == sorted(NAMES)
+
+
+def test_structures_of_a_component_are_not_looked_for_among_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looks = 0
+    original = Robot.components
+
+    def components(robot: Robot) -> Iterator[Component]:
+        nonlocal looks
+        for component in original(robot):
+            looks += 1
+            yield component
+
+    bridge = MemoryBridge("one")
+    for name in NAMES:
+        bridge.emitter(name, {"type": "integer"})
+    with RobotManager(loads(APART), bridges={"one": bridge}) as robot:
+        monkeypatch.setattr(Robot, "components", components)
+        for name in NAMES:
+            assert list(robot.structures(name)) == ["output.default"]
+    assert looks <= len(NAMES)

@@ -20,6 +20,7 @@ from uoarm.model import (
     BridgeFindings,
     FunctionStatus,
     MessageStructure,
+    Offer,
     Plan,
     StatusEvent,
     StatusMap,
@@ -97,14 +98,13 @@ class RobotView(ConfiguredRobot):
         """
         self._require_open()
         revision = self._revisions.current
-        offer = next((item for item in revision.robot.offers if item.name == component), None)
-        if offer is not None:
+        found = revision.named(component)
+        if isinstance(found, Offer):
             what = f"asking for the structures of the offer {component!r}"
             get = self._bridges.get
             return deadlines.run(
-                what, timeout, lambda: offered_structures(offer, get(offer.bridge))
+                what, timeout, lambda: offered_structures(found, get(found.bridge))
             )
-        found = next((item for item in revision.robot.components() if item.name == component), None)
         if found is None:
             text = f"there is no component {component!r} in the configuration"
             raise ResolutionError(text, error_code="UOA-202")

@@ -44,9 +44,11 @@ from uoarm.errors import (
     UsageError,
 )
 from uoarm.model import (
+    Component,
     ConfigurationChange,
     ConnectionEffect,
     Effect,
+    Offer,
     Plan,
     Robot,
 )
@@ -87,10 +89,18 @@ class Revision:
     needs_candidates: bool = field(init=False)
     # Filled by any thread; two that find the same do no harm.
     _reach: dict[str, frozenset[str]] = field(init=False, factory=dict)
+    _named: dict[str, Component | Offer] = field(init=False, factory=dict)
 
     def __attrs_post_init__(self) -> None:
         needs = any(function.needs is not None for function in self.base.functions.values())
         object.__setattr__(self, "needs_candidates", needs)
+
+    def named(self, name: str) -> Component | Offer | None:
+        """Return the component or the offer of a name; None where there is none."""
+        if not self._named:
+            self._named.update((item.name, item) for item in self.robot.components())
+            self._named.update((item.name, item) for item in self.robot.offers)
+        return self._named.get(name)
 
     def resolve(
         self,
