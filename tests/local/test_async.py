@@ -48,11 +48,12 @@ def test_an_asynchronous_generator_answers_a_message_with_several() -> None:
     assert talk.through("count_up", {"value": 3}, 3) == THREE
 
 
-def test_an_asynchronous_generator_is_a_source() -> None:
+def test_an_asynchronous_generator_is_a_source(caplog: pytest.LogCaptureFixture) -> None:
     described = talk.describe("counting", Role.OUTPUT).message
     assert described is not None
     assert described.native_type == "Count"
     assert talk.given("counting", 3) == THREE
+    assert not caplog.records
 
 
 def test_an_asynchronous_class_is_closed_in_the_loop() -> None:

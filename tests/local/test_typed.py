@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
+from enum import Enum, IntEnum, IntFlag
 from types import ModuleType
 from typing import Any
 
@@ -15,6 +17,7 @@ from typing_extensions import TypedDict
 
 from uoarm import RobotManager
 from uoarm._dataplane import make_check
+from uoarm._hints.convert import reader, writer
 from uoarm._hints.schemas import is_plain
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -106,6 +109,69 @@ def test_hints_of_numpy_have_structures() -> None:
     for hint in (np.floating, NDArray[np.complex64], np.ndarray):
         with pytest.raises(HintError, match="write NDArray"):
             schema_of(hint)
+
+
+class Level(IntEnum):
+    LOW = 1
+    HIGH = 2
+
+
+class Gear(str, Enum):
+    FIRST = "first"
+
+
+class Lamp(IntFlag):
+    RED = 1
+    GREEN = 2
+
+
+class Sparse(IntFlag):
+    ONE = 1
+    FOUR = 4
+
+
+@pytest.mark.parametrize("value", [Level.HIGH, Gear.FIRST, Lamp.RED | Lamp.GREEN, Lamp(0)])
+def test_an_enumeration_of_numbers_or_texts_is_one(value: Any) -> None:
+    kind = type(value)
+    read, write = reader(kind, "here"), writer(kind, "here")
+    assert read is not None
+    assert write is not None
+    assert type(write(value)) in {int, str}
+    assert read(write(value)) is value
+    check = make_check(MessageStructure(schema_of(kind)), ValidationMode.ALWAYS, "here")
+    assert check is not None
+    check(write(value))
+
+
+def test_flags_that_leave_out_bits_have_no_structure() -> None:
+    with pytest.raises(HintError, match=r"Sparse.* leave out bits: write an int"):
+        schema_of(Sparse)
+
+
+@pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
+def test_octets_come_as_what_the_hint_says(kind: Any) -> None:
+    assert schema_of(kind)["x-octets"] is True
+    read = reader(kind, "here")
+    assert read is not None
+    for message in (b"ab", [97, 98]):
+        assert type(read(message)) is kind
+        assert bytes(read(message)) == b"ab"
+
+
+@dataclass
+class Tree:
+    value: int
+    child: Tree | None
+
+
+def test_a_class_within_itself_is_named() -> None:
+    with pytest.raises(HintError, match=r"Tree.* is nested too deep or recursive"):
+        schema_of(Tree)
+
+
+def test_a_hint_that_cannot_be_converted_is_named_with_its_place() -> None:
+    with pytest.raises(HintError, match=r"here: the type hint .*Tree.* cannot be converted"):
+        reader(list[Tree] | dict[str, Tree], "here")
 
 
 def test_numbers_of_numpy_are_numbers() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
+from enum import Enum
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
@@ -21,7 +22,8 @@ from uoarm.model import Message
 if TYPE_CHECKING:
     from cattrs import Converter
 
-_FLAT = frozenset({bool, int, float, str, bytes, type(None)})
+_PRIMITIVES = (bool, int, float, str)
+_FLAT = frozenset({*_PRIMITIVES, bytes, type(None)})
 
 
 def reader(hint: Any, place: str) -> Callable[[Message], Any] | None:
@@ -40,7 +42,7 @@ def reader(hint: Any, place: str) -> Callable[[Message], Any] | None:
         return None
     from cattrs import transform_error  # noqa: PLC0415 - slow import
 
-    structure = _compiled(hint, _converter().get_structure_hook)
+    structure = _compiled(hint, place, _converter().get_structure_hook)
     name = getattr(hint, "__name__", hint)
 
     def read(message: Message) -> Any:
@@ -71,7 +73,7 @@ def writer(hint: Any, place: str) -> Callable[[Any], Message] | None:
     """
     if is_plain(hint):
         return None
-    write = _compiled(hint, _converter().get_unstructure_hook)
+    write = _compiled(hint, place, _converter().get_unstructure_hook)
     name = getattr(hint, "__name__", hint)
     own = hint if is_record(hint) else None
 
@@ -149,11 +151,11 @@ def _write_of(kind: type) -> Callable[[Any], Message] | None:
     return None
 
 
-def _compiled(hint: Any, get_hook: Callable[[Any], Any]) -> Any:
+def _compiled(hint: Any, place: str, get_hook: Callable[[Any], Any]) -> Any:
     try:
         return get_hook(hint)
     except Exception as error:
-        text = f"the type hint {hint!r} cannot be converted: {error}"
+        text = f"{place}: the type hint {hint!r} cannot be converted: {error}"
         raise HintError(text) from error
 
 
@@ -175,14 +177,15 @@ def _converter() -> Converter:
     from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn  # noqa: PLC0415
 
     made = cattrs.Converter()
-    for kind in (bool, int, float, str):  # the structures were proven: nothing is coerced
-        made.register_structure_hook(kind, _as_it_is)
+    for kind in _PRIMITIVES:  # the structures were proven: nothing is coerced
+        made.register_structure_hook(kind, _primitive)
     for octets in (bytes, bytearray, memoryview):
         made.register_structure_hook(octets, _octets)
         made.register_unstructure_hook(octets, _same)
     made.register_unstructure_hook(bool, _truth)
     made.register_unstructure_hook(int, _integer)
     made.register_unstructure_hook(float, _number)
+    made.register_unstructure_hook(str, _text)
     strategies.configure_union_passthrough(str | bool | int | float | None, made)
     made.register_structure_hook_factory(
         is_named_tuple, lambda kind: cols.namedtuple_dict_structure_factory(kind, made)
@@ -234,7 +237,7 @@ def _numbers(hint: Any) -> Any:
 
 
 def _is_passed(hint: Any) -> bool:
-    return not any(hint is item for item in (bool, int, float, str)) and is_plain(hint)
+    return not any(hint is item for item in _PRIMITIVES) and is_plain(hint)
 
 
 def _as_it_is(value: Any, _: Any) -> Any:
@@ -245,8 +248,13 @@ def _same(value: Any) -> Any:
     return value
 
 
+def _primitive(value: Any, kind: Any) -> Any:
+    # cattrs asks for what is a number or a text by its class, an IntEnum too.
+    return value if kind in _PRIMITIVES else kind(value)
+
+
 def _octets(value: Any, kind: Any) -> Any:
-    return value if isinstance(value, kind) else kind(value)
+    return value if isinstance(value, kind) else kind(bytes(value))
 
 
 def _truth(value: Any) -> bool:
@@ -274,3 +282,7 @@ def _number(value: Any) -> float:
     if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
         raise TypeError(f"expected a number, got {value!r:.60}")
     return float(value)
+
+
+def _text(value: Any) -> Any:
+    return value.value if isinstance(value, Enum) else value

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import operator
 import sys
 import types
 from collections.abc import Iterable, Mapping
+from functools import reduce
 from typing import (
     Annotated,
     Any,
@@ -65,12 +67,14 @@ def schema_of(hint: Any, depth: int = 0) -> Mapping[str, object]:
         HintError: the hint has no message structure; the text names it.
     """
     hint = unwrapped(hint)
+    for kind, schema in _SIMPLE.items():  # not `in`: a hint may have no hash
+        if hint is kind:
+            return schema
     if depth > _MAX_DEPTH:
         raise HintError(f"the type hint {hint!r} is nested too deep or recursive")
-    if _hashable(hint) and hint in _SIMPLE:
-        return _SIMPLE[hint]
     if is_enum(hint):
-        return {"enum": [member.value for member in hint]}
+        is_flags = issubclass(hint, enum.Flag)
+        return _flags(hint) if is_flags else {"enum": [member.value for member in hint]}
     if is_model(hint):
         return _model(hint)
     numbers = scalar_of(hint) or array_of(hint)
@@ -132,8 +136,12 @@ def is_model(kind: Any) -> bool:
     return base is not None and is_class(kind) and issubclass(kind, base)
 
 
-def _hashable(hint: Any) -> bool:
-    return getattr(hint, "__hash__", None) is not None and get_origin(hint) is not Annotated
+def _flags(kind: type[enum.Flag]) -> Mapping[str, object]:
+    """Return the schema of flags: every sum of them is a value, too."""
+    every = reduce(operator.or_, (member.value for member in kind), 0)
+    if every & (every + 1):
+        raise HintError(f"the flags of the type hint {kind!r} leave out bits: write an int")
+    return {"type": "integer", "minimum": 0, "maximum": every}
 
 
 def _generic(hint: Any, depth: int) -> Mapping[str, object]:

@@ -169,10 +169,9 @@ class Coroutines:
                     return
                 yield item
         finally:
-            close = getattr(messages, "aclose", None)
-            if close is not None:
+            if hasattr(messages, "aclose"):
                 try:
-                    self.run(f"the end of {what}", close())
+                    self.run(f"the end of {what}", _end(messages))
                 except BridgeError as error:
                     if error.reason is not FailureReason.CLOSED:  # a closed loop has ended it
                         raise
@@ -208,5 +207,10 @@ def _closes(what: str) -> BridgeError:
     return BridgeError(f"{what} was cancelled: it closes", FailureReason.CLOSED)
 
 
+# What a generator gives to wait for is no coroutine, whose state can be asked for.
 async def _next(messages: AsyncIterator[Any]) -> Any:
     return await anext(messages)
+
+
+async def _end(messages: Any) -> None:
+    await messages.aclose()
