@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 from attrs import frozen
 
 from uoarm._adapt._mapping import (
     ArrayMapping,
-    Clamp,
     Mapped,
     MappingEntry,
     Path,
-    Scale,
     SchemaField,
     Structure,
     UnfitError,
+    kind_of,
     write_path,
 )
-from uoarm._meaning import INHERITED, SCALED
+from uoarm._adapt._numbers import Maker, clamped, scaled
 from uoarm.errors import MessageError
-
-Maker: TypeAlias = Callable[[Any], Any]
-_MAX_LOSSES = 200
 
 
 class _Missing:
@@ -56,24 +53,17 @@ def constant(value: Any) -> Maker:
     return lambda _: value
 
 
-def mapped(entry: Mapped, table: Mapping[Any, Any] | None, clamp: Clamp | None) -> Maker:
-    """Return the function of one entry: read, look up, scale, clamp, default."""
+def mapped(entry: Mapped, changes: Sequence[Maker]) -> Maker:
+    """Return the function of one entry: read, change, or take the default."""
     assert entry.source is not None, "constants are made by `constant`"
     read = reader(entry.source)
-    changes = [] if entry.scale is None else [_scaler(entry.scale)]
-    changes += [] if clamp is None else [_clamper(clamp)]
-    if table is None and not changes and not entry.has_default:
+    if not changes and not entry.has_default:
         return read
-    where = write_path(entry.source)
 
     def make(message: Any) -> Any:
         value = read(message)
         if value is MISSING:
             return entry.default if entry.has_default else MISSING
-        if table is not None:
-            if value not in table:
-                raise MessageError(f"{where}: the enum map says nothing of {value!r}")
-            value = table[value]
         for change in changes:
             value = change(value)
         return value
@@ -86,7 +76,10 @@ def each_item(read: Maker, make: Maker) -> Maker:
 
     def items(message: Any) -> Any:
         value = read(message)
-        return MISSING if value is MISSING else [make(item) for item in value]
+        if value is MISSING:
+            return MISSING
+        # As numbers of Python: those of numpy wrap.
+        return [make(item) for item in (value.tolist() if hasattr(value, "dtype") else value)]
 
     return items
 
@@ -115,31 +108,6 @@ def build_object(makers: Sequence[tuple[str, Maker, bool]]) -> Maker:
         return made
 
     return build_present
-
-
-def _scaler(scale: Scale) -> Maker:
-    factor, offset = scale.factor, scale.offset
-
-    def apply(value: Any) -> Any:
-        if isinstance(value, int | float) or hasattr(value, "dtype"):
-            return value * factor + offset
-        return [item * factor + offset for item in value]
-
-    return apply
-
-
-def _clamper(clamp: Clamp) -> Maker:
-    low, high = clamp.low, clamp.high
-
-    def one(value: Any) -> Any:
-        return low if value < low else min(value, high)
-
-    def apply(value: Any) -> Any:
-        if hasattr(value, "dtype"):
-            return value.clip(low, high)
-        return one(value) if isinstance(value, int | float) else [one(item) for item in value]
-
-    return apply
 
 
 @frozen
@@ -223,26 +191,27 @@ def _value(value: Mapped | ArrayMapping, source: Structure) -> tuple[SchemaField
     if value.source is None:
         return SchemaField({"const": value.const}, always=True), constant(value.const)
     field = source.at(value.source)
-    schema, table = field.schema, None
-    where = write_path(value.source)
+    schema, changes = field.schema, []
     if value.enum is not None:
-        schema, table = _enumerated(value.enum, source.plain(schema, where), where)
+        schema, change = _enumerated(value.enum, source, schema, value.source)
+        changes.append(change)
     if value.scale is not None:
-        schema = _scaled(value.scale, source, schema, where)
-    clamp = value.clamp
-    if clamp is not None:
-        schema, clamp = _clamped(clamp, source, schema, where)
+        schema, change = scaled(value.scale, source, schema, value.source)
+        changes.append(change)
+    if value.clamp is not None:
+        schema, change = clamped(value.clamp, source, schema, value.source)
+        changes.append(change)
     always = field.always
     if value.has_default and not always:
         schema, always = {"anyOf": [schema, {"const": value.default}]}, True
-    return SchemaField(schema, always), mapped(value, table, clamp)
+    return SchemaField(schema, always), mapped(value, changes)
 
 
 def _each(value: ArrayMapping, source: Structure) -> tuple[SchemaField, Maker]:
     field = source.at(value.source)
     where = write_path(value.source)
     array = source.plain(field.schema, where)
-    if array.get("type") != "array" or "prefixItems" in array or "items" not in array:
+    if kind_of(array) != "array" or "prefixItems" in array or "items" not in array:
         raise UnfitError(where, "each needs an array whose items are all of one structure")
     inner, make = _object(value.entries, Structure(array["items"], source))
     bounds = {key: array[key] for key in ("minItems", "maxItems") if key in array}
@@ -251,94 +220,58 @@ def _each(value: ArrayMapping, source: Structure) -> tuple[SchemaField, Maker]:
 
 
 def _enumerated(
-    pairs: tuple[tuple[str, Any], ...], schema: Mapping[str, Any], where: str
-) -> tuple[Any, Mapping[Any, Any]]:
-    """Return the schema of mapped values and the table from each source value."""
-    known = dict(pairs)
-    if "const" in schema:
-        values = [schema["const"]]
-    elif schema.get("type") == "boolean":
+    pairs: tuple[tuple[str, Any], ...], source: Structure, schema: Any, path: Path
+) -> tuple[Any, Maker]:
+    """Return the schema of mapped values, and what maps one."""
+    known, where = dict(pairs), write_path(path)
+    plain = source.plain(schema, where)
+    if "const" in plain:
+        values = [plain["const"]]
+    elif kind_of(plain) == "boolean":
         values = [False, True]
-    elif "enum" in schema:
-        values = list(schema["enum"])
+    elif "enum" in plain:
+        values = list(plain["enum"])
     else:
         raise UnfitError(where, "an enum map needs a field that has a known set of values")
     table: dict[Any, Any] = {}
     for value in values:
-        text = (
-            value
-            if isinstance(value, str)
-            else str(value).lower()
-            if isinstance(value, bool)
-            else str(value)
-        )
-        if text not in known:
+        if isinstance(value, list | Mapping):
+            raise UnfitError(where, "an enum map is for texts, numbers, true, false and null")
+        text = next((text for text in _texts_of(value) if text in known), None)
+        if text is None:
             raise UnfitError(where, f"the enum map says nothing of the value {value!r}")
+        if value in table and table[value] != known[text]:
+            raise UnfitError(where, f"an enum map cannot distinguish {value!r} from its equal")
         table[value] = known[text]
-    return {"enum": list({repr(v): v for v in table.values()}.values())}, table
+
+    def look_up(value: Any) -> Any:
+        try:
+            return table[value]
+        except (KeyError, TypeError):
+            text = f"{where}: the enum map says nothing of {value!r:.100}"
+            raise MessageError(text) from None
+
+    return {"enum": list({repr(value): value for value in table.values()}.values())}, look_up
 
 
-def _scaled(scale: Scale, source: Structure, schema: Any, where: str) -> Any:
-    plain = source.plain(schema, where)
-    if plain.get("type") == "array" and "items" in plain and "prefixItems" not in plain:
-        return {**plain, "items": _scaled(scale, source, plain["items"], where)}
-    kind = plain.get("type")
-    if kind not in {"integer", "number"}:
-        raise UnfitError(where, "scale and offset need a number or an array of numbers")
-    stays_whole = kind == "integer" and all(
-        isinstance(item, int) for item in (scale.factor, scale.offset)
-    )
-    low, high = _bound(plain, "inimum", scale), _bound(plain, "aximum", scale)
-    if scale.factor < 0:
-        low, high = high, low
-    bounds = {key: item for key, item in (("minimum", low), ("maximum", high)) if item is not None}
-    kept = {key: plain[key] for key in INHERITED if key in plain}
-    if "x-unit" in kept:
-        kept[SCALED] = (scale.factor, scale.offset)
-    return {"type": "integer" if stays_whole else "number", **bounds, **kept}
-
-
-def _clamped(clamp: Clamp, source: Structure, schema: Any, where: str) -> tuple[Any, Clamp]:
-    """Return the schema of what a clamp lets through, and the clamp within the known bounds.
-
-    Those keep its ends within what an array of the producer's own number type can hold.
-    """
-    plain = source.plain(schema, where)
-    if plain.get("type") == "array" and "items" in plain and "prefixItems" not in plain:
-        items, within = _clamped(clamp, source, plain["items"], where)
-        return {**plain, "items": items}, within
-    kind = plain.get("type")
-    if kind not in {"integer", "number"}:
-        raise UnfitError(where, "clamp needs a number or an array of numbers")
-    if kind == "integer" and not all(isinstance(item, int) for item in (clamp.low, clamp.high)):
-        raise UnfitError(where, "clamp needs integers here, since the field is an integer")
-    least, most = _bound(plain, "inimum", Scale()), _bound(plain, "aximum", Scale())
-    low = clamp.low if least is None else min(max(least, clamp.low), clamp.high)
-    high = clamp.high if most is None else min(max(most, clamp.low), clamp.high)
-    kept = {key: plain[key] for key in ("x-nonfinite", SCALED, *INHERITED) if key in plain}
-    return {"type": kind, "minimum": low, "maximum": high, **kept}, Clamp(low, high)
-
-
-def _bound(schema: Mapping[str, Any], ending: str, scale: Scale) -> float | int | None:
-    """Scale a bound by the very arithmetic that messages meet: it is monotone, so it holds."""
-    prefix = "m" if f"m{ending}" in schema else "exclusiveM"
-    bound = schema.get(f"{prefix}{ending}")
-    return None if bound is None else bound * scale.factor + scale.offset
+def _texts_of(value: Any) -> tuple[str, ...]:
+    """Return how a map may name a value: as JSON writes it, 1.0 as 1, too."""
+    if isinstance(value, str):
+        return (value,)
+    is_whole = isinstance(value, float) and value.is_integer()
+    return (json.dumps(value), *([str(int(value))] if is_whole else []))
 
 
 def _losses(entries: tuple[MappingEntry, ...], source: Structure, prefix: str = "") -> list[str]:
     """Return the producer's fields that no entry carries over, the outermost of each."""
-    carried = {
-        entry.value.source for entry in entries if getattr(entry.value, "source", None) is not None
-    }
+    carried = {path for entry in entries if (path := entry.value.source) is not None}
+    parts = {path[:end] for path in carried for end in range(len(path) + 1)}
     found: list[str] = []
     waiting: list[tuple[Path, Any]] = [((), source.schema)]
     for path, schema in waiting:
         if path in carried:
             continue
-        if path and not any(
-            tuple_ is not None and tuple_[: len(path)] == path for tuple_ in carried
-        ):
+        if path and path not in parts:
             found.append(prefix + write_path(path))
             continue
         try:
@@ -352,4 +285,4 @@ def _losses(entries: tuple[MappingEntry, ...], source: Structure, prefix: str = 
             inner = Structure(array["items"], source)
             where = f"{prefix}{write_path(entry.value.source)}[]."
             found.extend(_losses(entry.value.entries, inner, where))
-    return found[:_MAX_LOSSES]
+    return found

@@ -25,6 +25,7 @@ from uoarm.schema import CheckBudget, SchemaError, Verdict, check
 
 _CHECK_SECONDS = 10.0
 _SUGGEST_SECONDS = 5.0
+_MAX_LOSSES = 200
 _STATED = Meaning()
 
 
@@ -210,7 +211,7 @@ def _with_losses(
                       path=refused[0], suggestion=lines, error_code="UOA-225")]  # fmt: skip
     reasons += [
         Reason(f"the map drops the field {loss!r} too", path=loss, error_code="UOA-225")
-        for loss in refused[1:]
+        for loss in refused[1:_MAX_LOSSES]
     ]
     return EdgeVerdict(False, tuple(reasons))
 

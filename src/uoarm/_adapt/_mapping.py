@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias
 
@@ -155,7 +156,10 @@ def _each(
     if set(rule) != {"each", "map"} or not isinstance(rule["map"], Mapping):
         mistakes.append(f"{where}: each needs map, a mapping for every item, and nothing else")
         return None
-    source = _path(str(rule["each"]), where, mistakes)
+    if not isinstance(rule["each"], str):
+        mistakes.append(f"{where}: each must be a path")
+        return None
+    source = _path(rule["each"], where, mistakes)
     return ArrayMapping(source, _entries(rule["map"], where, mistakes, depth + 1))
 
 
@@ -167,16 +171,17 @@ def _from(rule: Mapping[str, Any], where: str, mistakes: list[str]) -> Mapped | 
     if "map" in rule:
         mistakes.append(f"{where}: map belongs to each")
     for key in ("scale", "offset"):
-        number = rule.get(key, 0)
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            mistakes.append(f"{where}: {key} must be a number, got {number!r}")
+        if not _is_number(rule.get(key, 0)):
+            mistakes.append(f"{where}: {key} must be a finite number, got {rule[key]!r:.50}")
             return None
     if "enum" in rule and not isinstance(rule["enum"], Mapping):
         mistakes.append(f"{where}: enum must say for each value what it becomes")
         return None
     clamp = rule.get("clamp")
     if "clamp" in rule and not _is_range(clamp):
-        mistakes.append(f"{where}: clamp must be two numbers, the lower one first, got {clamp!r}")
+        mistakes.append(
+            f"{where}: clamp must be two numbers, the lower one first, got {clamp!r:.50}"
+        )
         return None
     scaled = "scale" in rule or "offset" in rule
     return Mapped(
@@ -193,9 +198,19 @@ def _is_range(value: Any) -> bool:
     return (
         isinstance(value, list | tuple)
         and len(value) == 2  # noqa: PLR2004 - both ends
-        and all(isinstance(item, int | float) and not isinstance(item, bool) for item in value)
+        and all(map(_is_number, value))
         and value[0] <= value[1]
     )
+
+
+def _is_number(value: Any) -> bool:
+    """Say whether it is a number that a float can be: values may be floats."""
+    try:
+        return (
+            isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        )
+    except OverflowError:
+        return False
 
 
 _MAX_LEAVES = 500
@@ -208,6 +223,14 @@ class UnfitError(Exception):
     def __init__(self, path: str, sentence: str) -> None:
         super().__init__(sentence)
         self.path = path
+
+
+def kind_of(schema: Mapping[str, Any]) -> Any:
+    """Return the type of all that a schema accepts; None: it may be of several."""
+    kind = schema.get("type")
+    if isinstance(kind, list | tuple):
+        return kind[0] if len(kind) == 1 else None
+    return kind
 
 
 @frozen
@@ -235,27 +258,33 @@ class Structure:
         self.schema = {**inner, **own} if own else inner
 
     def plain(self, schema: Any, path: str) -> Mapping[str, Any]:
-        """Return a schema with references followed.
+        """Return a schema with references followed, and what stands beside them of its meaning.
 
         Raises:
             UnfitError: it is `true`, `false`, or refers to what is not in the structure.
         """
+        said: dict[str, Any] = {}
         for _ in range(32):
             if not isinstance(schema, Mapping):
                 raise UnfitError(path, "the structure says nothing of this field")
+            said = {key: schema[key] for key in INHERITED if key in schema} | said
             if "$ref" not in schema:
-                return schema
+                return {**schema, **said} if said else schema
             target = follow(self.definitions, schema["$ref"])
             if target is None:
                 raise UnfitError(path, f"the reference {schema['$ref']!r} cannot be followed here")
             schema = target
         raise UnfitError(path, "the references go in a circle")
 
-    def at(self, path: Path) -> SchemaField:
+    def at(self, path: Path, *, is_emitted: bool = True) -> SchemaField:
         """Return the field at a path, with what the objects around it say of its meaning.
 
+        Args:
+            path: of the field.
+            is_emitted: whether it is read from messages, which must then be objects up to it.
+
         Raises:
-            UnfitError: there is no such field, or a choice stands in the way.
+            UnfitError: there is no such field, or a choice or what is no object stands in the way.
         """
         schema, always = self.schema, True
         said: dict[str, Any] = {}
@@ -268,10 +297,14 @@ class Structure:
                 raise UnfitError(where, f"there is no field {part!r}; there is {has}")
             if any(key in one for key in ("anyOf", "oneOf", "allOf", "if")):
                 raise UnfitError(where, "a choice of structures stands in the way")
+            if is_emitted and kind_of(one) != "object":
+                text = "a message may have no object here: its structure has not `type: object`"
+                raise UnfitError(write_path(path[:number]), text)
             always = always and part in one.get("required", ())
             said |= {key: one[key] for key in INHERITED if key in one}
             schema = fields[part]
-        return SchemaField({**said, **schema} if said and schema is not True else schema, always)
+        has_more = said and isinstance(schema, Mapping)
+        return SchemaField({**said, **schema} if has_more else schema, always)
 
     def fields(self) -> Mapping[str, Any]:
         """Return the named fields of the whole message, none for what is no object."""
@@ -306,7 +339,7 @@ def number_problem(structure: MessageStructure, path: str) -> str:
         walked = Structure(structure.schema)
         parts = () if path == "." else tuple(path.split("."))
         found = walked.at(parts)
-        kind = walked.plain(found.schema, path).get("type")
+        kind = kind_of(walked.plain(found.schema, path))
     except UnfitError as error:
         return f"{error.path}: {error}"
     if kind not in ("number", "integer"):

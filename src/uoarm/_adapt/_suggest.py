@@ -11,7 +11,7 @@ from typing import Any
 from attrs import frozen
 
 from uoarm._adapt._adaptation import adapt
-from uoarm._adapt._mapping import Path, Structure, UnfitError, leaves, parse, write_path
+from uoarm._adapt._mapping import Path, Structure, UnfitError, kind_of, leaves, parse, write_path
 from uoarm._meaning import (
     Conversion,
     MeaningDifference,
@@ -110,7 +110,9 @@ def _fill_counterpart(
 ) -> None:
     """Fill an object field by field; `place` and `at` are where it is in target and source."""
     one = source.plain(source.at(at).schema if at else source.schema, write_path(at))
-    other = target.plain(target.at(place).schema if place else target.schema, write_path(place))
+    other = target.plain(
+        target.at(place, is_emitted=False).schema if place else target.schema, write_path(place)
+    )
     have = {_ROS_FIELDS.get(name, name).lower(): name for name in one.get("properties", {})}
     for name, schema in other.get("properties", {}).items():
         if len(mapping) > _MOST_FIELDS:
@@ -142,7 +144,7 @@ def _within_range(path: str, made: Mapping[str, Any], taken: Mapping[str, Any]) 
     ends: list[Any] = [
         schema.get(end) for end in ("minimum", "maximum") for schema in (made, taken)
     ]
-    if taken.get("type") != "integer" or None in ends:
+    if kind_of(taken) != "integer" or None in ends:
         return path
     clamp = [max(ends[:2]), min(ends[2:])]
     return path if clamp == [ends[0], ends[2]] else {"from": path, "clamp": clamp}
@@ -261,7 +263,7 @@ def _are_alike(name: str, path: Path) -> bool:
 
 
 def _is_numeric(schema: Any) -> bool:
-    return isinstance(schema, Mapping) and schema.get("type") in {"number", "integer", "array"}
+    return isinstance(schema, Mapping) and kind_of(schema) in ("number", "integer", "array")
 
 
 def _is_same_unit(name: str, one: Any, other: Any) -> bool:
@@ -379,7 +381,7 @@ def _fill(
         mapping[where] = {"from": where, **_lines(next(iter(inside.values())))}
         return
     one = source.plain(source.at(field).schema, where)
-    other = target.plain(target.at(field).schema, where)
+    other = target.plain(target.at(field, is_emitted=False).schema, where)
     if all(path[:1] == (_ITEMS,) for path in inside):
         items = Structure(one["items"], source)
         taken = Structure(other["items"], target)

@@ -1,0 +1,173 @@
+"""Scale and clamp: the schema of what they make, and the function that makes it.
+
+Numbers are computed as the schema's bounds are: whole ones exactly, others in double precision,
+whatever the width of the array that they come in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+from uoarm._adapt._mapping import Clamp, Scale, Structure, UnfitError, kind_of, write_path
+from uoarm._adapt._mapping import Path as FieldPath
+from uoarm._meaning import INHERITED, SCALED
+from uoarm.errors import MessageError
+
+Maker: TypeAlias = Callable[[Any], Any]
+_MAX_LEVELS = 12
+_WORD = 2**63
+
+
+def scaled(scale: Scale, source: Structure, schema: Any, path: FieldPath) -> tuple[Any, Maker]:
+    """Return the schema of scaled numbers, or arrays of them, and what makes them.
+
+    Raises:
+        UnfitError: there is something else at that path.
+    """
+
+    def change(plain: Mapping[str, Any]) -> tuple[Any, Maker, Maker]:
+        is_whole = kind_of(plain) == "integer" and _is_whole(scale.factor, scale.offset)
+        low, high = _bound(plain, "inimum", scale), _bound(plain, "aximum", scale)
+        if scale.factor < 0:
+            low, high = high, low
+        ends = {"minimum": low, "maximum": high}
+        bounds = {key: end for key, end in ends.items() if end is not None}
+        kept = _kept(plain, "x-nonfinite")
+        if "x-unit" in kept:
+            kept[SCALED] = (scale.factor, scale.offset)
+        made = {"type": "integer" if is_whole else "number", **bounds, **kept}
+        return made, *_scalers(scale, write_path(path))
+
+    return _of_numbers(change, source, schema, path, "scale and offset need")
+
+
+def clamped(clamp: Clamp, source: Structure, schema: Any, path: FieldPath) -> tuple[Any, Maker]:
+    """Return the schema of clamped numbers, or arrays of them, and what makes them.
+
+    Raises:
+        UnfitError: there is something else at that path, or the ends are not of its type.
+    """
+
+    def change(plain: Mapping[str, Any]) -> tuple[Any, Maker, Maker]:
+        least, most = _bound(plain, "inimum", Scale()), _bound(plain, "aximum", Scale())
+        if kind_of(plain) == "integer":
+            if not _is_whole(clamp.low, clamp.high):
+                text = "clamp needs integers here, since the field is an integer"
+                raise UnfitError(write_path(path), text)
+            least = None if least is None else math.ceil(least)
+            most = None if most is None else math.floor(most)
+        low = clamp.low if least is None else min(max(least, clamp.low), clamp.high)
+        high = clamp.high if most is None else min(max(most, clamp.low), clamp.high)
+        kept = _kept(plain, "x-nonfinite", SCALED)
+        made = {"type": kind_of(plain), "minimum": low, "maximum": high, **kept}
+        return made, *_clampers(low, high)
+
+    return _of_numbers(change, source, schema, path, "clamp needs")
+
+
+_Change: TypeAlias = Callable[[Mapping[str, Any]], tuple[Any, Maker, Maker]]
+
+
+def _of_numbers(
+    change: _Change, source: Structure, schema: Any, path: FieldPath, needs: str
+) -> tuple[Any, Maker]:
+    """Change the numbers of a field, which may be in arrays within arrays."""
+    where = write_path(path)
+    arrays: list[dict[str, Any]] = []
+    plain = source.plain(schema, where)
+    while kind_of(plain) == "array" and "items" in plain and "prefixItems" not in plain:
+        if len(arrays) == _MAX_LEVELS:
+            raise UnfitError(where, f"{needs} arrays of at most {_MAX_LEVELS} levels")
+        # No more than this stays true of the array: not which values it has, or that none is twice.
+        arrays.append({"type": "array", **_kept(plain, "minItems", "maxItems")})
+        plain = source.plain(plain["items"], where)
+    if kind_of(plain) not in ("integer", "number"):
+        raise UnfitError(where, f"{needs} a number or an array of numbers")
+    made, make, make_array = change(plain)
+    for array in reversed(arrays):
+        made, make = {**array, "items": made}, _in_array(make, make_array)
+    return made, make
+
+
+def _in_array(make: Maker, make_array: Maker) -> Maker:
+    def apply(value: Any) -> Any:
+        if not hasattr(value, "dtype"):
+            return [make(item) for item in value]
+        changed = make_array(value)
+        return apply(value.tolist()) if changed is None else changed
+
+    return apply
+
+
+def _scalers(scale: Scale, where: str) -> tuple[Maker, Maker]:
+    """Return what scales a number, and what scales an array of numpy; None: not exactly."""
+    factor, offset = scale.factor, scale.offset
+
+    def number(value: Any) -> Any:
+        if hasattr(value, "dtype"):  # of numpy, whose own numbers wrap
+            value = value.item()
+        try:
+            return value * factor + offset
+        except OverflowError:
+            raise MessageError(f"{where}: a scaled number is beyond those of a float") from None
+
+    def array(value: Any) -> Any:
+        kind = value.dtype.kind
+        if kind == "f" or (kind in "iu" and isinstance(factor, float)):
+            return value.astype("float64") * float(factor) + float(offset)
+        if kind in "iu" and value.size:
+            # By the width first, which needs no look at the numbers.
+            for least, most in (_limits(value.dtype), (int(value.min()), int(value.max()))):
+                ends = least * factor, most * factor
+                sums = (offset, *(end + offset for end in ends)) if _is_whole(offset) else ()
+                met = (factor, least, most, *ends, *sums)
+                if all(-_WORD <= number < _WORD for number in met):
+                    return value.astype("int64") * factor + offset
+        return None
+
+    return number, array
+
+
+def _clampers(low: float, high: float) -> tuple[Maker, Maker]:
+    def number(value: Any) -> Any:
+        return low if value < low else min(value, high)
+
+    def array(value: Any) -> Any:
+        kind = value.dtype.kind
+        if kind == "f":
+            return value.astype("float64").clip(float(low), float(high))
+        if kind in "iu":
+            least, most = _limits(value.dtype)
+            if low <= most and high >= least:  # else the ends are not of this width
+                return value.clip(max(low, least), min(high, most))
+        return None
+
+    return number, array
+
+
+def _limits(dtype: Any) -> tuple[int, int]:
+    """Return the least and the greatest whole number of a type of numpy."""
+    bits = 8 * dtype.itemsize
+    return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if dtype.kind == "i" else (0, 2**bits - 1)
+
+
+def _is_whole(*numbers: float) -> bool:
+    return all(isinstance(number, int) for number in numbers)
+
+
+def _kept(plain: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    return {key: plain[key] for key in (*keys, *INHERITED) if key in plain}
+
+
+def _bound(schema: Mapping[str, Any], ending: str, scale: Scale) -> float | int | None:
+    """Scale a bound by the very arithmetic that messages meet: it is monotone, so it holds."""
+    bound = schema.get(f"m{ending}", schema.get(f"exclusiveM{ending}"))
+    if bound is None:
+        return None
+    try:
+        made: float | int = bound * scale.factor + scale.offset
+        return made if math.isfinite(made) else None
+    except OverflowError:  # beyond the floats: so are the messages, which are refused
+        return None
