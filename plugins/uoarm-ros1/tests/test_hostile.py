@@ -18,8 +18,10 @@ from peers import Master, Peer, running
 from uoarm_ros1 import _server, _services
 from uoarm_ros1._master import call_api
 from uoarm_ros1._node import Node
+from uoarm_ros1._server import NodeServer, SocketLoop
+from uoarm_ros1._subscription import text_of_connection
 from uoarm_ros1._tcpros import encode_header
-from uoarm_ros1._xmlrpc import decode_call, encode_reply, http_reply
+from uoarm_ros1._xmlrpc import decode_call, encode_call, encode_reply, http_reply
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
@@ -341,6 +343,60 @@ def test_calls_that_do_not_end_share_one_room(
         wait(lambda: sum(map(is_ended, held)) >= len(held) // 2, "none goes", patience())
         for connection in held:
             connection.close()
+
+
+def test_calls_that_come_in_one_piece_are_answered_within_what_may_wait() -> None:
+    """Each answer lists all topics: a few octets of many calls must not become a thousandfold."""
+    loop = SocketLoop("test")
+    answered = []
+
+    def answer(method: str, _: object) -> object:
+        answered.append(method)
+        return [1, "", "x" * 2**20]
+
+    server = NodeServer(loop, "127.0.0.1", answer, lambda connection, _: connection.close())
+    body = encode_call("getPublications", ["/x"])
+    call = b"POST / HTTP/1.1\r\nContent-Length: %d\r\n\r\n%b" % (len(body), body)
+    with socket.create_connection(("127.0.0.1", server.api_port)) as connection:
+        connection.sendall(call * 200)  # and no answer is read
+        wait(lambda: answered and not server._unidentified._held, "it is kept", patience())
+    loop.close()
+    assert len(answered) < 100
+
+
+def test_requests_that_do_not_end_share_one_room(
+    master: Master, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_services, "_REQUEST_SECONDS", 10 * patience())  # time alone ends none
+    with bridge_to(master, max_octets=1_000_000) as bridge:
+        served = bridge.serve(
+            service("/served/part", "std_srvs/SetBool"), lambda _: {"success": True, "message": ""}
+        )
+        node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
+        header = {"callerid": "/x", "md5sum": "*", "service": "/served/part", "persistent": "1"}
+        held = []
+        for _ in range(12):
+            connection = socket.create_connection((node._api.host, node._api.port))
+            connection.settimeout(patience())
+            connection.sendall(encode_header(header))
+            (length,) = struct.unpack("<I", connection.recv(4))
+            assert connection.recv(length)
+            held.append(connection)
+        for connection in held:
+            with suppress(ConnectionError):
+                connection.sendall(struct.pack("<I", 900_000) + bytes(500_000))
+        wait(lambda: served.facts()["clients"] == 4, "all are kept", patience())
+        for connection in held:
+            connection.close()
+
+
+def test_a_listing_of_brackets_costs_no_more_than_it_is_long() -> None:
+    """The interpreter's lock is held while it is looked through: for hours, if with its square."""
+    ours = text_of_connection("10.0.0.7", 4000)
+    assert ours.search("to [" * 500_000) is None
+    assert ours.search("TCPROS connection on port 1 to [10.0.0.7:4000 on socket 9]")
+    assert ours.search("TCPROS connection on port 1 to [robot.local:4000 on socket 9]")
+    assert ours.search("TCPROS connection on port 1 to [10.0.0.7:40001 on socket 9]") is None
 
 
 def is_ended(connection: socket.socket) -> bool:

@@ -35,6 +35,8 @@ _MOST_IDLE = 8
 _ANSWER_SECONDS = 10.0
 _REQUEST_SECONDS = 10.0
 _SHORTEST = 0.001
+_MOST_UNFINISHED = 4
+"""Requests of the greatest size that may be under way to one service, in octets."""
 
 
 def probe_service(node: Node, service: str) -> tuple[str, str]:
@@ -232,7 +234,8 @@ class ServedService(Channel):
         self._most_clients = 8 * at_once
         # Guards the connections, between the loop, their threads and the close.
         self._lock = threading.Lock()
-        self._clients: set[socket.socket] = set()
+        # Octets that the request of each takes which is not whole.
+        self._clients: dict[socket.socket, int] = {}
         self._answered = self._failed = self._refused = 0
         node.serve(service, self._arrived)
 
@@ -277,7 +280,7 @@ class ServedService(Channel):
         with self._lock:
             is_full = self.closed or len(self._clients) >= self._most_clients
             if not problem and not is_full and header.get("probe") != "1":
-                self._clients.add(connection)
+                self._clients[connection] = 0
         if is_full:
             problem = problem or f"{self.name} has {self._most_clients} clients already"
         if problem:
@@ -310,7 +313,9 @@ class ServedService(Channel):
         until = time.monotonic() + _REQUEST_SECONDS
         try:
             while not self.closed:
-                left = None if is_persistent else max(_SHORTEST, until - time.monotonic())
+                left: float | None = max(_SHORTEST, until - time.monotonic())
+                if is_persistent:
+                    left = None if requests.is_between_frames else _REQUEST_SECONDS
                 connection.settimeout(left)
                 count = connection.recv_into(requests.buffer())
                 if not count:
@@ -320,12 +325,26 @@ class ServedService(Channel):
                     connection.sendall(self._reply(frame))
                     if not is_persistent:
                         return
+                self._hold(connection, requests.held)
         except (OSError, ProtocolError):
             return
         finally:
             with self._lock:
-                self._clients.discard(connection)
+                self._clients.pop(connection, None)
             connection.close()
+
+    def _hold(self, connection: socket.socket, octets: int) -> None:
+        """Take note of a request that is not whole; of too many, the largest is given up."""
+        if octets == self._clients[connection]:
+            return
+        with self._lock:
+            self._clients[connection] = octets
+            if sum(self._clients.values()) <= _MOST_UNFINISHED * self._most:
+                return
+            largest = max(self._clients, key=self._clients.__getitem__)
+            self._clients[largest] = 0
+        with suppress(OSError):
+            largest.shutdown(socket.SHUT_RDWR)
 
     def _reply(self, frame: bytes | bytearray) -> bytes:
         try:

@@ -153,6 +153,14 @@ def _receive_header(
     return answered, reader
 
 
+def text_of_connection(host: str, port: int) -> re.Pattern[str]:
+    """Return what is found in a listing's text of a connection to an address of ours.
+
+    No bracket is passed over, so that a text of many costs no more than it is long.
+    """
+    return re.compile(rf"to \[(?:{re.escape(host)}|[^\[\]]*):{port}\b")
+
+
 class _Publisher:
     """One publisher of the topic, and the thread that reads from it."""
 
@@ -237,7 +245,7 @@ class _Publisher:
     def _await_listing(self, connection: socket.socket) -> None:
         """Wait until the publisher has added us: it answers first, and loses what comes between."""
         host, port = connection.getsockname()[:2]
-        ends = re.compile(rf"to \[(?:{re.escape(host)}|[^\]]*):{port}\b")
+        ends = text_of_connection(host, port)
         deadline = time.monotonic() + _LISTED_SECONDS
         pause = threading.Event()
         while time.monotonic() < deadline and not self._closed.is_set():
