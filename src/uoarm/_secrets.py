@@ -22,7 +22,8 @@ _IN_TEXT = (
     (re.compile(r"(?<=://)[^\s/@]+(?=@)"), HIDDEN),
     (re.compile(r"(?i)\b(bearer\s+)[^\s\"',;]+"), rf"\1{HIDDEN}"),
     (re.compile(rf"(?i)((?:{_NAMES})\s?=\s?)[^\s&;,\"']*[^\s&;,\"':]"), rf"\1{HIDDEN}"),
-    (re.compile(rf"(?i)(--[\w-]*(?:{_NAMES})\s+)[^\s\"']+"), rf"\1{HIDDEN}"),
+    # Bounded, as a line of hyphens would cost the square of its length.
+    (re.compile(rf"(?i)(--[\w-]{{0,40}}(?:{_NAMES})\s+)[^\s\"']+"), rf"\1{HIDDEN}"),
 )
 _OPTION = re.compile(rf"(?i)--[\w-]*(?:{_NAMES})")
 
