@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import builtins
 import logging
 import re
 import signal
@@ -16,7 +17,15 @@ from typing import Any
 import pytest
 
 from uoarm._interrupts import Uninterrupted
-from uoarm._raised import ContainedError, LimitedLog, foreign, is_raised, sentence_of, text_of
+from uoarm._raised import (
+    ContainedError,
+    LimitedLog,
+    foreign,
+    is_raised,
+    sentence_of,
+    text_of,
+    writable,
+)
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, MessageError
 from uoarm.testing import ManualClock
 
@@ -87,6 +96,62 @@ def test_records_beyond_the_limit_are_counted_in_the_next_one(
         "record 1",
         "record 5 (and 3 more since the last record)",
     ]
+
+
+def chained(length: int) -> Exception:
+    made = ValueError("first")
+    for number in range(length):
+        following = ValueError(str(number))
+        following.__cause__ = following.__context__ = made
+        made = following
+    return made
+
+
+def grouped(depth: int) -> BaseException:
+    group: Any = getattr(builtins, "ExceptionGroup", None)  # from CPython 3.11 on
+    if group is None:
+        return chained(100_000)
+    made: Exception = ValueError("first")
+    for _ in range(depth):
+        made = group("twice the same", [made, made])
+    return made
+
+
+@pytest.mark.parametrize(
+    "error",
+    [ValueError("x" * 50_000_000), chained(100_000), grouped(60)],
+    ids=["text", "chain", "group"],
+)
+def test_the_record_of_an_error_is_bounded_whatever_is_in_it(
+    error: BaseException, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A group of two that are the same, sixty times over, has more members than memory has room."""
+    try:
+        quit_with(error)
+    except Exception as raised:  # noqa: BLE001 - as it was given
+        LimitedLog(logging.getLogger("uoarm.test")).write(logging.WARNING, "it failed", raised)
+    assert len(caplog.text) < 10_000
+    assert "quit_with(error)" in caplog.text
+    assert f"{type(error).__name__}: {str(error)[:20]}" in caplog.text
+
+
+class Quitting(logging.Handler):
+    def handle(self, record: logging.LogRecord) -> bool:
+        raise SystemExit(record.getMessage())
+
+
+def test_a_record_that_cannot_be_written_keeps_nothing_from_what_follows_it() -> None:
+    logger, handler = logging.getLogger("uoarm.test"), Quitting()
+    logger.addHandler(handler)
+    try:
+        LimitedLog(logger).write(logging.WARNING, "it failed")
+    finally:
+        logger.removeHandler(handler)
+
+
+@pytest.mark.parametrize("error", [ValueError("no"), chained(40)])
+def test_an_error_of_a_usual_size_is_written_whole(error: Exception) -> None:
+    assert writable(error) is error
 
 
 class Own(BaseException):

@@ -21,7 +21,7 @@ from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
 from uoarm._forks import generation
 from uoarm._hints.applications import T
-from uoarm._raised import foreign
+from uoarm._raised import foreign, writable
 from uoarm._renewal import HeldCommand
 from uoarm._support.aio_deadlines import event_by
 from uoarm.bridge import Registry
@@ -247,8 +247,8 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
                 for callback in self._callbacks:
                     try:
                         foreign(callback, message)
-                    except Exception:  # noqa: BLE001 - a callback may raise anything
-                        _log.exception("callback %r raised", callback)
+                    except Exception as error:  # noqa: BLE001 - a callback may raise anything
+                        _log.error("callback %r raised", callback, exc_info=writable(error))
         except ConnectionClosedError as error:
             _log.debug("%s", error)  # its state and cause say so to a caller that asks
 
@@ -436,8 +436,11 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
             if listening:
                 try:
                     foreign(listener, event)
-                except Exception:  # noqa: BLE001 - a listener may raise anything
-                    _log.exception("listener %r failed at event %d", listener, event.number)
+                except Exception as error:  # noqa: BLE001 - a listener may raise anything
+                    shown = writable(error)
+                    _log.error(
+                        "listener %r failed at event %d", listener, event.number, exc_info=shown
+                    )
 
         def pass_on(event: StatusEvent) -> None:
             if not loop.is_closed():

@@ -8,10 +8,12 @@ passes is only what interrupts the main thread for the user.
 
 from __future__ import annotations
 
+import builtins
 import logging
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import FrameType, TracebackType
 from typing import ParamSpec, TypeVar
 
@@ -22,6 +24,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _LENGTH = 1000
+_MOST_CHAINED, _MOST_WRITTEN = 50, 10_000
+_GROUP: type[BaseException] | tuple[()] = getattr(builtins, "BaseExceptionGroup", ())
 _OWN = frozenset({FailureReason.RAISED, FailureReason.BAD_MESSAGE, FailureReason.CONTRACT})
 _RECORD_SECONDS = 10.0
 _FOLDER = __file__.removesuffix("_raised.py")
@@ -144,6 +148,37 @@ def text_of(error: BaseException) -> str:
     return encodable(text[:_LENGTH])[:_LENGTH]
 
 
+def writable(error: BaseException) -> BaseException:
+    """Return an exception whose traceback may be written: this one, or what stands for it.
+
+    In a traceback is the text of each exception that is chained to it or in its group, again for
+    each group that it is in: a small one can fill the memory, and whatever waits for its record.
+    """
+    waiting, seen, left = [error], set[int](), _MOST_CHAINED
+    while waiting:
+        item = waiting.pop()
+        left -= 1
+        try:
+            is_short = foreign(_written, item) <= _MOST_WRITTEN
+        except Exception:  # noqa: BLE001 - foreign, as the error is
+            is_short = False
+        if not is_short or left < 0:
+            made = ContainedError(text_of(error))
+            made.__traceback__ = error.__traceback__
+            return made
+        for chained in (item.__cause__, item.__context__):
+            if chained is not None and id(chained) not in seen:
+                seen.add(id(chained))
+                waiting.append(chained)
+        if isinstance(item, _GROUP):
+            waiting += item.exceptions[: _MOST_CHAINED + 1]  # type: ignore[attr-defined]  # 3.11
+    return error
+
+
+def _written(error: BaseException) -> int:
+    return len(str(error)) + sum(map(len, getattr(error, "__notes__", ())))
+
+
 def sentence_of(error: BaseException) -> str:
     """Return the text of an error of uoarm, which says all; of another one what `text_of` does."""
     return str(error) if isinstance(error, UoarmError) else text_of(error)
@@ -151,6 +186,8 @@ def sentence_of(error: BaseException) -> str:
 
 class LimitedLog:
     """Writes the first of many like records, and then as many in ten seconds. Thread safe.
+
+    It raises nothing: what is to be done after a record is done, too.
 
     A record says how many were left out since the one before it.
 
@@ -192,5 +229,6 @@ class LimitedLog:
             logger = logging.getLogger(logger)
         if isinstance(error, BridgeError) and error.__cause__ is not None:
             error = error.__cause__  # the text says already in which step that was raised
-        shown = None if error is None else from_own_frames(error)
-        logger.log(level, "%s%s", text, more, exc_info=shown)
+        shown = None if error is None else writable(from_own_frames(error))
+        with suppress(Exception):  # of a handler of the application, or of a component
+            foreign(logger.log, level, "%s%s", text, more, exc_info=shown)

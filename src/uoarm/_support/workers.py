@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 from attrs import define, field, frozen
 
-from uoarm._raised import contained
+from uoarm._raised import contained, writable
 from uoarm._support.process_tuning import fit_switch_interval
 from uoarm.errors import UoarmError
 
@@ -267,7 +267,8 @@ class WorkerPool:
     def _conclude(self, task: _Task[Any], result: object, error: Exception | None) -> None:
         if task.done is None:
             if error is not None and not isinstance(error, WorkerPoolClosedError):
-                _log.error("a call in a thread of %s failed", self._name, exc_info=error)
+                shown = writable(error)
+                _log.error("a call in a thread of %s failed", self._name, exc_info=shown)
             return
         try:
             task.done(result, error)

@@ -11,7 +11,7 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from uoarm._raised import contained
+from uoarm._raised import contained, writable
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 if TYPE_CHECKING:
@@ -108,8 +108,8 @@ def _run_until_stopped(loop: asyncio.AbstractEventLoop) -> None:
     while True:
         try:
             loop.run_forever()
-        except BaseException:  # noqa: BLE001 - the loop serves other components, too
-            _log.exception("a task that a component left behind raised")
+        except BaseException as error:  # noqa: BLE001 - the loop serves other components, too
+            _log.error("a task that a component left behind raised", exc_info=writable(error))
         else:
             return
 

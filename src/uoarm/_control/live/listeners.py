@@ -8,7 +8,7 @@ from collections.abc import Callable
 from queue import SimpleQueue
 
 from uoarm._dataplane import Clock
-from uoarm._raised import LimitedLog, foreign
+from uoarm._raised import LimitedLog, foreign, writable
 from uoarm._support.ordered import keep_newest
 from uoarm.model import StatusEvent
 
@@ -126,8 +126,9 @@ class EventDispatcher:
         for listener in self._listeners:
             try:
                 foreign(listener, event)
-            except Exception:  # noqa: BLE001 - a listener may raise anything
-                _log.exception("listener %r failed at event %d", listener, event.number)
+            except Exception as error:  # noqa: BLE001 - a listener may raise anything
+                shown = writable(error)
+                _log.error("listener %r failed at event %d", listener, event.number, exc_info=shown)
 
 
 def _without(
