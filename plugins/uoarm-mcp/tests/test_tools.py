@@ -17,6 +17,7 @@ from agents import TOKENS, Agents, text_of
 from components import script
 from mcp.server.session import ServerSession
 from mcp.shared.exceptions import MCPError
+from uoarm_mcp import _http
 from uoarm_mcp._streams import AgentStreams
 
 from uoarm import RobotManager
@@ -248,45 +249,82 @@ def test_a_call_that_rights_end_in_is_answered(
     assert (answer.status_code, answer.text) == (401, "the rights of this client have ended\n")
 
 
+OPENING = {
+    "jsonrpc": "2.0",
+    "id": 1,
+    "method": "initialize",
+    "params": {
+        "protocolVersion": "2025-11-25",
+        "capabilities": {},
+        "clientInfo": {"name": "test", "version": "1"},
+    },
+}
+HEADERS = {
+    "Authorization": f"Bearer {TOKENS['agent']}",
+    "Accept": "application/json, text/event-stream",
+}
+
+
+def post(agents: Agents, body: dict[str, Any] = OPENING, **more: str) -> httpx2.Response:
+    return httpx2.post(agents.url, json=body, headers=HEADERS | more, timeout=patience())
+
+
+def opened(agents: Agents) -> dict[str, str]:
+    session = post(agents).headers["mcp-session-id"]
+    return {"mcp-session-id": session, "mcp-protocol-version": "2025-11-25"}
+
+
 def test_one_agent_does_not_take_the_sessions_of_all(
     agents: Agents, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uoarm_mcp._http._MOST_SESSIONS", 2)
-    opening = {
-        "jsonrpc": "2.0",
-        "id": 1,
-        "method": "initialize",
-        "params": {
-            "protocolVersion": "2025-11-25",
-            "capabilities": {},
-            "clientInfo": {"name": "test", "version": "1"},
-        },
-    }
-    headers = {
-        "Authorization": f"Bearer {TOKENS['agent']}",
-        "Accept": "application/json, text/event-stream",
-    }
-
-    def post(body: dict[str, Any], **more: str) -> httpx2.Response:
-        return httpx2.post(agents.url, json=body, headers=headers | more, timeout=patience())
-
-    def opened() -> dict[str, str]:
-        session = post(opening).headers["mcp-session-id"]
-        return {"mcp-session-id": session, "mcp-protocol-version": "2025-11-25"}
-
+    monkeypatch.setattr(_http, "_MOST_SESSIONS", 2)
     ping = {"jsonrpc": "2.0", "id": 2, "method": "ping"}
-    first, second = opened(), opened()
-    assert post(ping, **first).status_code == 200
-    third = opened()
-    assert [post(ping, **known).status_code for known in (first, second, third)] == [200, 404, 200]
+    first, second = opened(agents), opened(agents)
+    assert post(agents, ping, **first).status_code == 200
+    third = opened(agents)
+    answers = [post(agents, ping, **known).status_code for known in (first, second, third)]
+    assert answers == [200, 404, 200]
     with (
-        httpx2.stream("GET", agents.url, headers=headers | first, timeout=patience()),
-        httpx2.stream("GET", agents.url, headers=headers | third, timeout=patience()),
+        httpx2.stream("GET", agents.url, headers=HEADERS | first, timeout=patience()),
+        httpx2.stream("GET", agents.url, headers=HEADERS | third, timeout=patience()),
     ):
-        assert post(opening).status_code == 503, "both are in use"
+        assert post(agents).status_code == 503, "both are in use"
         other = agents.client("other", "legacy")
         assert agents.run(other.call_tool("add", {"a": 1, "b": 2})).is_error is False
-    wait(lambda: post(opening).status_code == 200, "a session whose client has gone makes room")
+    wait(lambda: post(agents).status_code == 200, "a session whose client has gone makes room")
+
+
+def test_sessions_that_begin_together_have_room(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_http, "_MOST_SESSIONS", 2)
+    end_session = _http._end_session
+    ending, go = threading.Semaphore(0), threading.Event()
+
+    async def end(*arguments: Any) -> None:
+        ending.release()
+        await asyncio.to_thread(go.wait, patience())
+        await end_session(*arguments)
+
+    monkeypatch.setattr(_http, "_end_session", end)
+    opened(agents), opened(agents)
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(post, agents)
+        assert ending.acquire(timeout=patience()), "it makes room for itself"
+        second = pool.submit(post, agents)
+        wait(lambda: ending.acquire(blocking=False) or second.done(), "so does the next")
+        go.set()
+        assert [asked.result().status_code for asked in (first, second)] == [200, 200]
+
+
+def test_a_session_whose_end_was_refused_makes_room_still(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_http, "_MOST_SESSIONS", 1)
+    asked = HEADERS | opened(agents) | {"mcp-protocol-version": "2026-07-28"}
+    ended = httpx2.delete(agents.url, headers=asked, timeout=patience())
+    assert ended.status_code == 405, "that revision has none"
+    assert post(agents).status_code == 200
 
 
 @pytest.mark.filterwarnings("ignore::mcp.shared.exceptions.MCPDeprecationWarning")

@@ -88,8 +88,9 @@ class GuestSessions:
 
     def __init__(self, protocol: Server[Any]) -> None:
         self._protocol = protocol
-        # Requests under way by session, the one that was used last at the end.
-        self._used: dict[StatelessClient, dict[bytes, int]] = {}
+        # Requests under way by session, the one that was used last at the end. A session that is
+        # being opened has its place by an object of its own.
+        self._used: dict[StatelessClient, dict[object, int]] = {}
         self._managers: dict[StatelessClient, asyncio.Future[StreamableHTTPSessionManager]] = {}
         self._running: dict[StatelessClient, asyncio.Task[None]] = {}
 
@@ -100,28 +101,35 @@ class GuestSessions:
         manager, used = await self._of(client), self._used[client]
         headers = dict(scope["headers"])
         session, revision = headers.get(_SESSION), headers.get(_REVISION)
+        place, is_well = object(), False
+        idle: object = None
         if session is None and (revision is None or revision in _WITH_SESSIONS):
-            idle = next((known for known, requests in used.items() if not requests), None)
-            if len(used) >= _MOST_SESSIONS and idle is not None:
+            if len(used) >= _MOST_SESSIONS:
+                idle = next((known for known, requests in used.items() if not requests), None)
                 # First, or another request would end the same one, or use it, meanwhile.
-                del used[idle]
-                await _end_session(manager, scope, idle)
+                used.pop(idle, None)
+            used[place] = 1
         elif session in used:
             used[session] = used.pop(session) + 1
 
         async def noting(message: MutableMapping[str, Any]) -> None:
-            if message["type"] == "http.response.start":
+            nonlocal is_well
+            if message["type"] == "http.response.start" and message["status"] == _WELL:
+                is_well = True
                 begun = dict(message["headers"]).get(_SESSION)
-                if session is None and begun is not None and message["status"] == _WELL:
+                if begun is not None and used.pop(place, 0):
                     used[begun] = 0
             await send(message)
 
         try:
+            if idle is not None:
+                await _end_session(manager, scope, idle)
             await manager.handle_request(scope, receive, noting)
         finally:
+            used.pop(place, 0)
             if session in used:
                 used[session] -= 1
-                if scope["method"] == "DELETE":
+                if scope["method"] == "DELETE" and is_well:
                     del used[session]
 
     async def _of(self, client: StatelessClient) -> StreamableHTTPSessionManager:
@@ -160,7 +168,7 @@ class GuestSessions:
 
 
 async def _end_session(
-    manager: StreamableHTTPSessionManager, scope: _Scope, session: bytes
+    manager: StreamableHTTPSessionManager, scope: _Scope, session: object
 ) -> None:
     """End a session as its client does, since the SDK has no other way that is public."""
 
