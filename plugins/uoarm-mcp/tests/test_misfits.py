@@ -13,11 +13,16 @@ import httpx2
 import pytest
 from agents import TOKENS, Agents
 from components import script
+from mcp.client.client import Client
+from uoarm_mcp import _catalogue
 from uoarm_mcp._catalogue import Catalogue, CatalogueMaker
 
+from uoarm import RobotManager
+from uoarm.model import Plan
 from uoarm.server import Limits
 from uoarm.server.front_end import AccessRole
-from uoarm.testing import patience
+from uoarm.server.streams import FeedRegistry
+from uoarm.testing import patience, slowness
 
 MISFITS = 10_000 if os.environ.get("HYPOTHESIS_PROFILE") == "long" else 1_000
 BATCH = 16
@@ -170,3 +175,36 @@ def test_to_stop_waits_for_nothing(
     with Agents(server.ports, TOKENS) as agents:
         answer = agents.posted("stop", {})
         assert answer.json()["result"]["structuredContent"] == {"stopped": [], "cancelled": []}
+
+
+def test_what_hangs_is_waited_for_once(
+    agents: Agents, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans = {name: robot.resolve(name) for name in ("add", "cuff")}
+    asked: list[str] = []
+    loops: list[asyncio.AbstractEventLoop] = []
+    gate = asyncio.Event()
+
+    async def resolve(self: FeedRegistry, name: str) -> Plan:
+        del self
+        asked.append(name)
+        loops.append(asyncio.get_running_loop())
+        if name != "add":
+            await gate.wait()
+        return plans[name]
+
+    async def late(client: Client) -> list[str]:
+        async with client.listen(tools_list_changed=True) as events:
+            loops[0].call_soon_threadsafe(gate.set)
+            await anext(aiter(events))
+        return [tool.name for tool in (await client.list_tools()).tools]
+
+    monkeypatch.setattr(FeedRegistry, "resolve", resolve)
+    monkeypatch.setattr(_catalogue, "_FIND_SECONDS", 0.05 * slowness())
+    client = agents.client("agent", "2026-07-28")
+    assert agents.facts("add", {"a": 1, "b": 2})["result"] == {"value": 3}
+    monkeypatch.setattr(_catalogue, "_FIND_SECONDS", 10 * patience())
+    assert agents.facts("add", {"a": 1, "b": 2})["result"] == {"value": 3}
+    assert "no plan within" in agents.facts("status", {})["left_out"]["cuff"]
+    assert sorted(asked) == sorted(robot.config.functions)
+    assert "cuff" in agents.run(late(client)), "clients know when it is found after all"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
+from functools import partial
 
 from attrs import field, frozen
 from mcp_types import Resource, Tool, ToolAnnotations
 
-from uoarm.errors import UoarmError
 from uoarm.model import Function, MessageStructure, Plan, Robot
 from uoarm.schema import property_of
 from uoarm.server.front_end import AccessRole, Backend, Operation, coded_text, is_action
@@ -23,7 +23,6 @@ from uoarm_mcp._schemas import (
 )
 
 STREAM = "uoarm://stream/"
-_AT_ONCE = 8
 _FIND_SECONDS = 10.0
 OWN: Mapping[str, str] = {
     "plan": """Say what a request would open and why, or why not, with the counterexample and what
@@ -119,14 +118,18 @@ class CatalogueMaker:
 
     Args:
         backend: the robot.
+        found: called when a plan is found that a catalogue did not wait for.
     """
 
-    def __init__(self, backend: Backend) -> None:
+    def __init__(self, backend: Backend, found: Callable[[], None]) -> None:
         self._backend = backend
+        self._found = found
         self._robot: Robot | None = None
-        self._plans: dict[str, Plan] = {}
+        self._searches: dict[str, asyncio.Task[Plan]] = {}
+        # What did not come within the limit, as behind a bridge that hangs: it is not waited for
+        # again, so that the calls of other functions have it once.
+        self._late: set[str] = set()
         self._made: dict[AccessRole, Catalogue] = {}
-        self._turns = asyncio.Semaphore(_AT_ONCE)
         self._making: dict[AccessRole, asyncio.Task[Catalogue]] = {}
 
     def forget(self) -> None:
@@ -142,7 +145,8 @@ class CatalogueMaker:
         robot = self._backend.robot.config
         if self._robot is not robot:
             self._robot = robot
-            self._plans.clear()
+            self._searches.clear()
+            self._late.clear()
             self._made.clear()
         made = self._made.get(role)
         if made is not None:
@@ -156,16 +160,17 @@ class CatalogueMaker:
     async def _make(self, robot: Robot, role: AccessRole) -> Catalogue:
         view = self._backend.role_views.of(role)
         visible = [name for name in robot.functions if view.has_function(name)]
-        reasons = dict(zip(visible, await asyncio.gather(*map(self._find, visible)), strict=True))
+        searches = await self._search(visible)
         tools: dict[str, FunctionTool] = {}
         resources: dict[str, Resource] = {}
         left_out: dict[str, str] = {}
         for name in visible:
             function = robot.functions[name]
-            if name not in self._plans:
-                left_out[name] = view.text(reasons[name], name)
+            plan = _result(searches[name])
+            if isinstance(plan, str):
+                left_out[name] = view.text(plan, name)
                 continue
-            for made in self._tools(function, self._plans[name]):
+            for made in self._tools(function, plan):
                 if not role.allows(made.operation, name):
                     left_out[made.tool.name] = f"the role may not {made.operation.value} {name}"
                 elif made.tool.name in tools or made.tool.name in OWN:
@@ -173,7 +178,7 @@ class CatalogueMaker:
                 else:
                     tools[made.tool.name] = made
             if role.allows(Operation.REQUEST, name):
-                resources |= self._resources(function, self._plans[name])
+                resources |= self._resources(function, plan)
         headed = frozenset(
             name for name, made in tools.items() if has_headers(made.tool.input_schema)
         )
@@ -182,19 +187,28 @@ class CatalogueMaker:
             self._made[role] = catalogue
         return catalogue
 
-    async def _find(self, name: str) -> str:
-        """Find the plan of a function; return why there is none."""
-        if name in self._plans:
-            return ""
-        try:
-            async with self._turns:
-                plan = await asyncio.wait_for(self._backend.resolve(name), _FIND_SECONDS)
-        except asyncio.TimeoutError:
-            return f"no plan within {_FIND_SECONDS:g} s"
-        except UoarmError as error:
-            return coded_text(error)
-        self._plans[name] = plan
-        return ""
+    async def _search(self, names: Iterable[str]) -> Mapping[str, asyncio.Task[Plan]]:
+        """Return the search for the plan of each function; what had failed is sought again."""
+        searches = {}
+        for name in names:
+            search = self._searches.get(name)
+            if search is None or (search.done() and isinstance(_result(search), str)):
+                begun = self._searches[name] = asyncio.ensure_future(self._backend.resolve(name))
+                begun.add_done_callback(partial(self._end, name))
+                if search is None or name not in self._late:  # else it shows why it failed last
+                    search = begun
+            searches[name] = search
+        waited = [search for name, search in searches.items() if name not in self._late]
+        if waited:
+            await asyncio.wait(waited, timeout=_FIND_SECONDS)
+        self._late |= {name for name, search in searches.items() if not search.done()}
+        return searches
+
+    def _end(self, name: str, search: asyncio.Task[Plan]) -> None:
+        is_found = not isinstance(_result(search), str)
+        if is_found and name in self._late and self._searches.get(name) is search:
+            self._late.discard(name)
+            self._found()
 
     def _tools(self, function: Function, plan: Plan) -> Iterator[FunctionTool]:
         component, structures = plan.provider.component, plan.provider.structures
@@ -287,6 +301,16 @@ class CatalogueMaker:
 
     def _needs(self, operation: Operation, function: str) -> str:
         return self._backend.approvals.supervision.reason(operation, function)
+
+
+def _result(search: asyncio.Task[Plan]) -> Plan | str:
+    """Return the plan that was found, or why there is none."""
+    if not search.done():
+        return f"no plan within {_FIND_SECONDS:g} s"
+    if search.cancelled():
+        return "the server is closing"
+    error = search.exception()
+    return search.result() if error is None else coded_text(error)
 
 
 def _described(function: Function, what: str, needs: str) -> str:

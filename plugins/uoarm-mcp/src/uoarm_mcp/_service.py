@@ -286,7 +286,7 @@ class AgentService:
         self._backend = backend
         self._discoveries = discoveries
         self._local = local
-        self._catalogues = CatalogueMaker(backend)
+        self._catalogues = CatalogueMaker(backend, self._publish)
         self._agents: dict[StatelessClient, Agent] = {}
         self._listening: dict[StatelessClient, int] = {}
         self._buses: dict[InMemorySubscriptionBus, None] = {}
@@ -543,9 +543,12 @@ class AgentService:
         return end
 
     def _changed(self, notice: ChangeNotice) -> None:
-        if notice.event.subject.startswith("connection "):
-            return
-        self._catalogues.forget()
+        if not notice.event.subject.startswith("connection "):
+            self._catalogues.forget()
+            self._publish()
+
+    def _publish(self) -> None:
+        """Have every client that listens know that there may be other tools and resources."""
         for bus in self._buses:
             for event in (ToolsListChanged(), ResourcesListChanged()):
                 task = asyncio.ensure_future(bus.publish(event))
