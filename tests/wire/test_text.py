@@ -216,6 +216,33 @@ def test_viewers_get_each_field_that_has_one_type() -> None:
     }
 
 
+def test_viewers_get_what_references_lead_to() -> None:
+    place, node = {"$ref": "#/$defs/place"}, {"$ref": "#/$defs/node"}
+    definitions = {
+        "place": closed(x=NUMBER),
+        "node": closed(at=place, inner=node, nodes={"type": "array", "items": {"$ref": "#"}}),
+    }
+    other = {"$id": "other", "$ref": "#/$defs/place", "$defs": {"place": {"type": "string"}}}
+    whole = closed(first=place, tree=node, other=other, lost={"$ref": "#/no"})
+    schema = {"$ref": "#/$defs/whole", "$defs": {"whole": whole, **definitions}}
+    shown = {"type": "object", "properties": {"x": {"type": "number"}}}
+    assert json.loads(viewer_schema(schema))["properties"] == {
+        "first": shown,
+        "tree": {"type": "object", "properties": {"at": shown}},
+        "other": {"type": "string"},
+    }
+
+
+def test_viewers_get_no_more_of_many_references_than_they_can_read() -> None:
+    names = [f"#/$defs/{number}" for number in range(60)]
+    doubled = {
+        str(number): closed(a={"$ref": name}, b={"$ref": name})
+        for number, name in enumerate(names[1:])
+    }
+    schema = {"$ref": names[0], "$defs": {**doubled, "59": closed(x=NUMBER)}}
+    assert len(viewer_schema(schema)) < 1_000_000
+
+
 @pytest.mark.parametrize("schema", [True, NUMBER, OCTETS, {"type": "array", "items": NUMBER}, {}])
 def test_viewers_get_no_schema_where_messages_are_no_objects(schema: Any) -> None:
     assert viewer_schema(schema) == ""

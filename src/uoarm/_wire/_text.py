@@ -9,10 +9,11 @@ Those within 53 bits stay numbers.
 from __future__ import annotations
 
 import binascii
+import itertools
 import math
 import re
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any, TypeAlias
@@ -37,6 +38,7 @@ _WIDE_KINDS = "iu"
 _WIDE_SIZE = 8
 Reader: TypeAlias = Callable[[Message], Message]
 _MAX_DEPTH = 64
+_MOST_PARTS = 10_000
 _SHOWN = 100
 _DIGITS = re.compile(r"-?(0|[1-9][0-9]{0,999})\Z")
 _NO_BASE64 = re.compile(r"[^A-Za-z0-9+/]")
@@ -259,26 +261,48 @@ def viewer_schema(schema: Schema) -> str:
     or a list of lists. Such fields are left out here, and are in the messages all the same. What
     may be null, or a text because no JSON number says it, has the type that it has else.
     """
-    viewed = _viewed(schema, 0)
+    viewed = _viewed(schema, schema, 0, frozenset(), itertools.count())
     return orjson.dumps(viewed).decode() if viewed and viewed["type"] == "object" else ""
 
 
-def _viewed(schema: object, depth: int) -> dict[str, Any] | None:
-    """Return the same of one part; None: it has no single type."""
-    if not isinstance(schema, Mapping) or depth > _MAX_DEPTH:
+def _viewed(
+    schema: object,
+    document: object,
+    depth: int,
+    around: frozenset[tuple[int, str]],
+    parts: Iterator[int],
+) -> dict[str, Any] | None:
+    """Return the same of one part; None: it has no single type.
+
+    Args:
+        schema: of the part.
+        document: in which its references lead somewhere.
+        depth: of the part.
+        around: references that it stands behind, where one more of them has no end.
+        parts: counts them: behind references to references there may be any number.
+    """
+    if not isinstance(schema, Mapping) or depth > _MAX_DEPTH or next(parts) > _MOST_PARTS:
         return None
+    document = document_of(schema, document)
+
+    def viewed(part: object, behind: frozenset[tuple[int, str]] = around) -> dict[str, Any] | None:
+        return _viewed(part, document, depth + 1, behind, parts)
+
+    if isinstance(reference := schema.get("$ref"), str):
+        place = id(document), reference
+        return None if place in around else viewed(follow(document, reference), around | {place})
     if schema.get("x-octets") is True:
         return {"type": "string", "contentEncoding": "base64"}
     some = [part for part in _sequence(schema.get("anyOf")) if part != {"type": "null"}]
     if len(some) == 1:
-        return _viewed(some[0], depth + 1)
+        return viewed(some[0])
     kind, values = schema.get("type"), _sequence(schema.get("enum"))
     if kind == "object":
-        parts = _mapping(schema.get("properties")).items()
-        fields = {name: _viewed(part, depth + 1) for name, part in parts}
+        inner = _mapping(schema.get("properties")).items()
+        fields = {name: viewed(part) for name, part in inner}
         return {"type": kind, "properties": {name: fields[name] for name in fields if fields[name]}}
     if kind == "array" and "prefixItems" not in schema:
-        items = _viewed(schema.get("items"), depth + 1)
+        items = viewed(schema.get("items"))
         is_listed = items and items["type"] != "array" and "contentEncoding" not in items
         return {"type": kind, "items": items} if is_listed else None
     if values and all(isinstance(value, str) for value in values):
