@@ -102,6 +102,14 @@ def test_a_definition_and_its_structure_say_the_same() -> None:
     assert structure_of_definition(definition_of(structure, "x/msg/Other")) == structure
 
 
+def test_a_definition_without_fields_is_a_text_still() -> None:
+    structure = MessageStructure(closed())
+    definition = definition_of(structure, "x/msg/Nothing")
+    assert definition.text == "# no fields\n", "viewers refuse an empty one"
+    schema: Any = structure_of_definition(definition).schema
+    assert schema["properties"] == {}
+
+
 def test_the_octets_of_a_known_message() -> None:
     structure = structure_of_definition(
         RosDefinition("lab/msg/Known", "uint8 a\nfloat64 b\nstring c\nuint16[] d\n")

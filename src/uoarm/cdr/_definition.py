@@ -67,7 +67,8 @@ def definition_of(structure: MessageStructure, name: str) -> RosDefinition:
         if len(texts) >= _MOST_TYPES or not isinstance(schema, Mapping):
             raise MessageError(f"{type_name} cannot be written as a message file")
         head = f"{_RULE}\nMSG: {_short(type_name)}\n" if texts else ""
-        texts[type_name] = head + "".join(_lines(type_name, schema, waiting))
+        # Viewers take an empty text for one that is missing, but for that of std_msgs/Empty.
+        texts[type_name] = head + ("".join(_lines(type_name, schema, waiting)) or "# no fields\n")
     return RosDefinition(own, "".join(texts.values()))
 
 
