@@ -233,6 +233,13 @@ def _read_cdr(
     budget: Budget, stated: str, structure: MessageStructure, payload: Message
 ) -> Message:
     assert isinstance(payload, bytes)
+    return _deserialiser(structure, budget, stated)(payload)
+
+
+@functools.lru_cache(maxsize=256)
+def _deserialiser(
+    structure: MessageStructure, budget: Budget, stated: str
+) -> Callable[[bytes], Message]:
     own = structure.native_type
     # In CDR nothing else distinguishes a float from an integer, a velocity from a position.
     if (
@@ -241,9 +248,4 @@ def _read_cdr(
         and stated.replace("/msg/", "/") != own.replace("/msg/", "/")
     ):
         raise MessageError(f"expected a message of {own}, got one of {stated}")
-    return _deserialiser(structure, budget)(payload)
-
-
-@functools.lru_cache(maxsize=256)
-def _deserialiser(structure: MessageStructure, budget: Budget) -> Callable[[bytes], Message]:
     return cdr.deserialiser(structure, budget=budget)
