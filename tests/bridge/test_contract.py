@@ -22,6 +22,7 @@ from uoarm.bridge import (
     Channel,
     Delivery,
     Description,
+    Discovered,
     Handler,
     HealthEvent,
     Registry,
@@ -132,6 +133,41 @@ def test_a_bridge_that_lies_about_its_results_is_refused() -> None:
     with pytest.raises(BridgeError, match="breaks the contract") as caught:
         bridge.open_sink(ENDPOINT, ANY)
     assert caught.value.reason is FailureReason.CONTRACT
+
+
+@pytest.mark.parametrize("part", ["message", "request", "reply"])
+def test_a_description_of_something_else_is_refused(part: str) -> None:
+    class Describing(Puppet):
+        def _describe(self, endpoint: Endpoint) -> Description:
+            wrong: Any = {part: {"type": "integer"}}
+            return Description(**wrong)
+
+    with pytest.raises(
+        BridgeError, match=r"_describe returned dict, expected .* MessageStructures"
+    ):
+        Describing().describe(ENDPOINT)
+
+
+@pytest.mark.parametrize(
+    ("discovered", "expected"),
+    [
+        (lambda: None, "discovering components failed: TypeError"),
+        (lambda: [1], "breaks the contract: _discover returned int"),
+        (lambda: [Discovered("x", ((ENDPOINT, ANY),))], "_discover returned MessageStructure"),  # type: ignore[arg-type]
+        (lambda: [Discovered("x", [1])], "discovering components failed: TypeError"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_bridge_that_discovers_something_else_is_refused(
+    discovered: Callable[[], Any], expected: str
+) -> None:
+    class Discovering(Puppet):
+        capabilities = Capabilities(discover=True)
+
+        def _discover(self) -> tuple[Discovered, ...]:
+            return discovered()  # type: ignore[no-any-return]
+
+    with pytest.raises(BridgeError, match=expected):
+        Discovering().discover()
 
 
 def test_closing_closes_channels_first_and_only_once() -> None:
@@ -346,15 +382,29 @@ def test_what_cannot_be_read_is_counted_and_handed_on_until_the_channel_is_close
     bridge.deliver.readable()  # of which nothing follows before the first that cannot be read
     bridge.deliver.unreadable("x" * 2000)
     bridge.deliver.unreadable("")
+    bridge.deliver.unreadable(EOFError("cut short"))
     bridge.deliver.readable()
     bridge.deliver(1)
-    assert got.unread == ["x" * 1000, "it cannot be read", ""]
+    assert got.unread == ["x" * 1000, "it cannot be read", "EOFError: cut short", ""]
     assert got.messages == [1]
     channel.close()
     bridge.deliver.unreadable("late")
     bridge.deliver.readable()
-    assert channel.unreadable == 2
-    assert len(got.unread) == 3
+    assert channel.unreadable == 3
+    assert len(got.unread) == 4
+
+
+def test_a_health_by_its_name_is_that_health_and_another_name_is_refused_where_it_is_given() -> (
+    None
+):
+    bridge, events = Puppet(), list[HealthEvent]()
+    bridge.watch(events.append)
+    name: Any = "lost"
+    bridge.report(name, "it is gone")
+    assert events[-1].health is Health.LOST
+    with pytest.raises(ValueError, match="'dead' is not a valid Health"):
+        bridge.report("dead", "it is gone")  # type: ignore[arg-type]
+    assert len(events) == 1
 
 
 @pytest.mark.parametrize("take", [Collector, list], ids=["delivery", "function"])

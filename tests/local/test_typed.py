@@ -6,7 +6,7 @@ import sys
 from dataclasses import dataclass
 from enum import Enum, IntEnum, IntFlag
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -141,6 +141,17 @@ def test_an_enumeration_of_numbers_or_texts_is_one(value: Any) -> None:
     check = make_check(MessageStructure(schema_of(kind)), ValidationMode.ALWAYS, "here")
     assert check is not None
     check(write(value))
+
+
+def test_a_literal_of_members_is_one_of_these() -> None:
+    hint = list[Literal[Level.HIGH, "off"]]
+    assert schema_of(hint)["items"] == {"enum": [2, "off"]}
+    read, write = reader(hint, "here"), writer(hint, "here")
+    assert read is not None
+    assert write is not None
+    assert read([2, "off"]) == [Level.HIGH, "off"]
+    assert read([2])[0] is Level.HIGH
+    assert type(write([Level.HIGH])[0]) is int
 
 
 def test_flags_that_leave_out_bits_have_no_structure() -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import threading
+from typing import Any
+
+import pytest
 
 from uoarm._resolve import StructureCache, Structures
 from uoarm._resolve._catalogue import Unavailable
@@ -44,6 +47,38 @@ def test_what_a_reader_should_know_of_an_endpoint_is_in_the_plan() -> None:
         "camera.input.light: the declared structure replaces the bridge's",
         "camera.output.default: picture is slow",
     )
+
+
+def _circle() -> dict[str, object]:
+    schema: dict[str, object] = {}
+    schema["not"] = schema
+    return schema
+
+
+@pytest.mark.parametrize(
+    ("schema", "expected"),
+    [
+        ("integer", "expected a schema"),
+        ({"type": "integr"}, "#/type: expected a type of"),
+        ({"$ref": "#/nowhere"}, "expected a reference to a part"),
+        ({"enum": {1, 2}}, "type set"),
+        ({"const": b"x"}, "type bytes"),
+        ({1: {}}, "keywords that are text"),
+        (_circle(), "Circular"),
+    ],
+)
+def test_a_structure_that_is_no_schema_is_refused_before_anything_opens(
+    schema: Any, expected: str
+) -> None:
+    class Lying(Noting):
+        def describe(self, endpoint: Endpoint, *, timeout: float) -> Description:
+            return Description(MessageStructure(schema))
+
+    bridge: Bridge = Lying()  # type: ignore[assignment]  # as much of one as is asked
+    found = StructureCache(lambda _: bridge).structures(ROBOT.functions["camera"].components[0])
+    assert isinstance(found, Unavailable)
+    assert "bridge 'a': structure 'output.default' is no JSON Schema: " in found.sentence
+    assert expected in found.sentence
 
 
 class Hanging(Noting):

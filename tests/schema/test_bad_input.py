@@ -60,6 +60,7 @@ MALFORMED: dict[str, object] = {
     "a schema that is null": None,
     "a schema that is text": "integer",
     "a constant that is no JSON": {"const": object()},
+    "a keyword that is not text": {1: {}},
     "names that are not text": {"properties": {1: {}}},
     "uniqueItems that is a number": {"uniqueItems": 1},
     "dependentRequired that is no list": {"dependentRequired": {"a": "b"}},

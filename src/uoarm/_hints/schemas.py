@@ -105,6 +105,8 @@ def is_plain(hint: Any, depth: int = 0) -> bool:
     if origin is Annotated:
         is_octets = any(isinstance(note, OctetsMark) for note in arguments[1:])
         return is_octets or is_plain(arguments[0], depth)
+    if origin is Literal:
+        return not any(isinstance(argument, enum.Enum) for argument in arguments)
     if origin in {Required, NotRequired, Union, types.UnionType, list, dict}:
         return all(is_plain(argument, depth + 1) for argument in arguments)
     return origin is not tuple
@@ -151,7 +153,8 @@ def _generic(hint: Any, depth: int) -> Mapping[str, object]:
     if origin is Annotated:
         return _annotated(schema_of(arguments[0], depth), arguments[1:])
     if origin is Literal:
-        return {"enum": list(arguments)}
+        plain = [item.value if isinstance(item, enum.Enum) else item for item in arguments]
+        return {"enum": plain}
     if origin in {Union, types.UnionType}:
         return {"anyOf": [schema_of(argument, depth + 1) for argument in arguments]}
     if origin is list:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Container, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from typing import Protocol, TypeAlias
 
 from attrs import define, field, frozen
 
 from uoarm._support import deadlines
 from uoarm.bridge import Bridge, Description
-from uoarm.errors import UoarmError
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Component, Endpoint, Meaning, MessageStructure, Reason
+from uoarm.schema import check
 
 
 @frozen
@@ -188,7 +189,7 @@ class StructureCache:
                         f"{component.name}.{name}: the declared structure replaces the bridge's"
                     )
             elif said is not None:
-                found[name] = said
+                found[name] = _proper(said, f"bridge {component.bridge!r}: structure {name!r}")
             else:
                 key = name if name in _OF_SERVICES else "structure"
                 hint = f"{description.hint}, or " if description.hint else ""
@@ -216,6 +217,21 @@ class StructureCache:
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return self._bridge(endpoint.bridge).describe(endpoint, timeout=_DESCRIBE_SECONDS)
+
+
+def _proper(structure: MessageStructure, place: str) -> MessageStructure:
+    """Return a structure of which every edge, check and lock can take the schema for one."""
+    try:
+        _read_whole(structure)
+    except (TypeError, ValueError, RecursionError) as error:
+        text = f"{place} is no JSON Schema: {error}"
+        raise BridgeError(text, FailureReason.CONTRACT) from error
+    return structure
+
+
+@lru_cache(maxsize=1024)
+def _read_whole(structure: MessageStructure) -> None:
+    check(structure.schema, structure.schema)
 
 
 class _UnknownError(Exception):

@@ -77,7 +77,7 @@ class Delivery(Protocol):
     def let_go(self, writer: str = "") -> None:
         """Let nothing of a writer stand any more: it has gone, or its value was cleared."""
 
-    def unreadable(self, why: str) -> None:
+    def unreadable(self, why: str | Exception) -> None:
         """Take in that a message came which cannot be read, and why; never raises."""
 
     def readable(self) -> None:
@@ -148,12 +148,13 @@ class Gate:
             if not self._is_shut and self._delivery is not None:
                 self._delivery.let_go(writer)
 
-    def unreadable(self, why: str) -> None:
+    def unreadable(self, why: str | Exception) -> None:
         """Say that a message cannot be read, after what was delivered before."""
+        said = why if isinstance(why, str) else text_of(why)
         with self._turn:
             if not self._is_shut:
                 self.unread += 1
-                self.refusal = why[:_WHY_LENGTH] or UNSAID
+                self.refusal = said[:_WHY_LENGTH] or UNSAID
                 if self._delivery is not None:
                     self._delivery.unreadable(self.refusal)
 

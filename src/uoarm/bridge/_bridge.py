@@ -130,8 +130,7 @@ class Bridge(BridgeSteps):
         found = self._step(
             BoundedStep("describing ", endpoint), timeout, lambda: self._describe(endpoint)
         )
-        if not isinstance(found, Description):
-            raise self._broken("_describe", "a Description", found)
+        self._require_structures("_describe", found)
         return found
 
     @final
@@ -143,7 +142,7 @@ class Bridge(BridgeSteps):
             BridgeTimeoutError: no answer within `timeout` seconds.
         """
         self._require(self.capabilities.discover, "discover components")
-        return tuple(self._step("discovering components", timeout, self._discover))
+        return self._step("discovering components", timeout, self._discovered)
 
     @final
     def open_source(
@@ -417,6 +416,7 @@ class Bridge(BridgeSteps):
         listener = self._listener
         if listener is not None and not self._is_closed:
             refusal = channel.refusal if isinstance(channel, Source) else ""
+            health = Health(health)
             if refusal and health in {Health.DEGRADED, Health.LOST} and refusal not in cause:
                 cause = f"{cause}; the last message that came cannot be read: {refusal}"
             listener(HealthEvent(self.name, health, cause, channel, component))
@@ -512,6 +512,22 @@ class Bridge(BridgeSteps):
         if not able:
             text = f"bridge {self.name!r} cannot {what}"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
+
+    def _discovered(self) -> tuple[Discovered, ...]:
+        found = tuple(self._discover())
+        for component in found:
+            if not isinstance(component, Discovered):
+                raise self._broken("_discover", "each to be a Discovered", component)
+            for _, description in component.endpoints:
+                self._require_structures("_discover", description)
+        return found
+
+    def _require_structures(self, what: str, found: object) -> None:
+        if not isinstance(found, Description):
+            raise self._broken(what, "a Description", found)
+        for part in (found.message, found.request, found.reply):
+            if not isinstance(part, MessageStructure | None):
+                raise self._broken(what, "a Description of MessageStructures", part)
 
     def _broken(self, what: str | BoundedStep, expected: str, got: object) -> BridgeError:
         text = (

@@ -393,6 +393,8 @@ class SchemaDocument:
                 absolute = self._resources.absolute(schema, value)
                 references.append(Reference(keyword, absolute, scope))
                 content.append((self._identity, references[-1]))
+            elif not isinstance(keyword, str):
+                raise SchemaError("", "keywords that are text", keyword)
             elif keyword not in ANNOTATIONS and not keyword.startswith("x-"):
                 content.append((keyword, self._keys.of(value)))
         if node.values is not None:
