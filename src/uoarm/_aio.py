@@ -174,6 +174,7 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
             try:
                 message = await self.get()
             except ConnectionClosedError:
+                self._threaded._require_own()  # noqa: SLF001 - of ours
                 if self.state is ConnectionState.FAILED:
                     raise
                 return

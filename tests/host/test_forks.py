@@ -15,6 +15,7 @@ from uoarm.testing import patience
 PROGRAM = """
 import atexit, os, signal, sys
 from contextlib import ExitStack
+from functools import partial
 from uoarm import RobotManager
 from uoarm.errors import BridgeError, ConnectionClosedError
 
@@ -29,10 +30,19 @@ def child(how, robot, connection, host):
         atexit._run_exitfuncs()
         os._exit(3)
     if how == "ask":
-        try:
-            robot.request("forever")
-        except ConnectionClosedError as error:
-            print(error)
+        for ask in (
+            partial(robot.request, "forever"),
+            connection.get,
+            partial(next, iter(connection)),
+            partial(connection.subscribe, print),
+            partial(connection.send, 1),
+            partial(connection.flush, 1.0),
+            robot.stop_all,
+        ):
+            try:
+                ask()
+            except ConnectionClosedError as error:
+                print("refused:", error)
         bridge = robot._bridges.get("far")
         try:
             bridge.describe(robot.config.functions["forever"].components[0].outputs[0].endpoint)
@@ -100,7 +110,8 @@ def test_a_child_ends_nothing_of_its_parent(folder: Path, kept: str) -> None:
     wanted = [f"child {how} {status} running" for how, status in STATUSES.items()]
     assert children == wanted, done.stdout + done.stderr
     assert done.returncode == 0, done.stderr
-    assert "make another one here" in done.stdout
+    refused = [line for line in done.stdout.splitlines() if line.startswith("refused: ")]
+    assert sum("make another one here" in line for line in refused) == 7
     assert "belongs to the parent of this process" in done.stdout
 
 

@@ -213,8 +213,6 @@ class ConfiguredRobot:
             self._staleness.start()
 
     def _require_open(self) -> None:
-        if self._driver.is_foreign:
-            text = "the robot manager belongs to the process that made it, of which this is a child"
-            raise ConnectionClosedError(f"{text}: make another one here")
+        self._driver.require_own("the robot manager")
         if self._driver.state.is_closing:
             raise ConnectionClosedError("the robot manager is closed")

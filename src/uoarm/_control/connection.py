@@ -95,6 +95,7 @@ class Connection(Generic[T]):
         """
         if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
+        self._require_own()
         try:
             message = self._receiver.inbox.get(timeout)
         except TimeoutError as error:
@@ -117,6 +118,7 @@ class Connection(Generic[T]):
             try:
                 message = self.get()
             except ConnectionClosedError:
+                self._require_own()
                 if self.state is ConnectionState.FAILED:
                     raise
                 return
@@ -257,6 +259,7 @@ class Connection(Generic[T]):
             raised something, whose text `status` has. What a queue dropped for newer messages
             does not matter; for a component in a host it is the link that has taken it.
         """
+        self._require_own()
         ports = self._runtime.ports
         return ports is None or ports.flush(timeout)
 
@@ -269,6 +272,7 @@ class Connection(Generic[T]):
         """
         if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
+        self._require_own()
         take = callback if self._type is None else self._type.callback(callback)
         return self._receiver.inbox.subscribe(take)
 
@@ -323,7 +327,11 @@ class Connection(Generic[T]):
         """Return the counters of the routes that belong to this connection alone."""
         return self._runtime.routes()
 
+    def _require_own(self) -> None:
+        self._driver.require_own(f"connection {self.id}")
+
     def _ports(self) -> ApplicationPorts:
+        self._require_own()
         ports = self._runtime.ports
         if not self._record.is_active or ports is None:
             raise ConnectionClosedError(f"connection {self.id} has ended: {self.cause or 'kill'}")

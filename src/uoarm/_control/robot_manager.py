@@ -434,7 +434,11 @@ class RobotManager(RobotView):
 
         Returns:
             For every open input that moves something whether the framework took the stop message.
+
+        Raises:
+            ConnectionClosedError: this is a forked child, from which nothing can be stopped.
         """
+        self._driver.require_own("the robot manager")
         return self._driver.live.emergency_stop.stop(timeout)
 
     @arguments()

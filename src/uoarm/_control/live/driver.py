@@ -46,7 +46,7 @@ from uoarm._support.ordered import keep_newest
 from uoarm._support.workers import Job, Lanes, Timer, WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.config import compare
-from uoarm.errors import BridgeTimeoutError, UoarmError
+from uoarm.errors import BridgeTimeoutError, ConnectionClosedError, UoarmError
 from uoarm.model import Component, Health, Plan, Robot
 
 _LISTED_CHANGES = 20
@@ -174,6 +174,16 @@ class Driver:
     def is_foreign(self) -> bool:
         """Whether this is a forked child: what is open is its parent's, and locks may be held."""
         return generation() != self._process
+
+    def require_own(self, what: str) -> None:
+        """Refuse in a forked child what only the process that made the manager can do.
+
+        Raises:
+            ConnectionClosedError: this is such a child.
+        """
+        if self.is_foreign:
+            text = f"{what} belongs to the process that made it, of which this is a child"
+            raise ConnectionClosedError(f"{text}: make another one here")
 
     def kill(self, identity: str, cause: str = "", *, is_failure: bool = False) -> None:
         """End a connection, and close in this thread what only it used. Idempotent."""
