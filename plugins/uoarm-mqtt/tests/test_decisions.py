@@ -62,6 +62,29 @@ def test_identifiers_are_bounded_and_the_last_one_serves_every_receiver() -> Non
     assert table.route(message("a", passing.id)) == []
 
 
+def test_a_filter_is_added_and_removed_without_a_look_at_the_others() -> None:
+    """All are added again after each break, in the thread in which messages come."""
+    looks = 0
+
+    class Topic(str):
+        __slots__ = ()
+
+        def __eq__(self, other: object) -> bool:
+            nonlocal looks
+            looks += 1
+            return str.__eq__(self, other)  # type: ignore[arg-type]
+
+        __hash__ = str.__hash__
+
+    table, receivers = Subscriptions(), [receiver(Topic(number)) for number in range(300)]
+    for item in (*receivers, *receivers):
+        table.add(item)
+    for item in receivers:
+        assert table.remove(item)
+    assert looks < 20 * len(receivers)
+    assert not table._filters
+
+
 def test_without_identifiers_filters_are_matched() -> None:
     table, receivers = Subscriptions(), [receiver(topic) for topic in ("a/+", "$share/g/a/#", "b")]
     for item in receivers:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import socket
+import struct
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import pytest
@@ -134,3 +137,53 @@ def test_a_receiver_that_raises_ends_no_other(
     assert link._up
     link.close()
     assert "m: a message on raising/a was not taken" in caplog.text
+
+
+CONNACK = bytes((0x20, 3, 0, 0, 0))
+ENDLESS = b"\x30\xff\xff\xff\x7f"  # the beginning of a message of 256 MiB
+
+
+def unfinished(number: int) -> bytes:
+    """Return a message of QoS 2 with an identifier, which the broker does not let go."""
+    content = struct.pack(">H1sHB", 1, b"a", number, 0) + bytes(1000)
+    return b"\x34" + bytes((len(content) % 128 | 128, len(content) // 128)) + content
+
+
+@pytest.mark.parametrize(
+    ("sent", "cause"),
+    [
+        ((ENDLESS,), "268,435,455 octets; 1,065,536 are allowed"),
+        (tuple(map(unfinished, range(1, 5000))), "Protocol error"),
+    ],
+    ids=["endless", "unfinished"],
+)
+def test_a_broker_that_sends_more_than_it_was_asked_for_is_left(
+    sent: tuple[bytes, ...], cause: str
+) -> None:
+    causes: list[str] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"mqtt://127.0.0.1:{server.getsockname()[1]}"
+        options = connection_options("m", BrokerOptions.of({"url": url, "max_octets": 1_000_000}))
+        link = BrokerConnection("m", options, lambda _, said: causes.append(said))
+        connecting = Background(link.require_up)
+        connection, _ = server.accept()
+        with connection:
+            connection.settimeout(patience())
+            assert connection.recv(4096)
+            connection.sendall(CONNACK)
+            connecting.result()
+            held = link._client._in_messages
+            with suppress(ConnectionError):
+                connection.sendall(b"".join(sent))
+            wait(lambda: causes, "it is not left", patience())
+        server.close()
+        assert cause in causes[0]
+        assert len(held) <= 21
+        link.close()
+
+
+def test_what_a_broker_has_forgotten_is_under_way_no_more(link: BrokerConnection) -> None:
+    link._client._in_messages[7] = object()
+    link.require_up()
+    assert not link._client._in_messages
+    link.close()

@@ -17,6 +17,10 @@ MOST_IN_FLIGHT = 20
 _UNSPECIFIED = 0x80
 
 
+class PacketTooLargeError(OSError):
+    """The broker begins a packet of more octets than it was asked for at most."""
+
+
 class ThreadedClient(Client):
     """paho's client, whose thread may end while it is waited for."""
 
@@ -39,6 +43,7 @@ class BrokerClient(ThreadedClient):
 
     when_ended: Callable[[Exception | None], None]
     is_answered: bool  # whether the broker answered the attempt that was begun last
+    most_octets: int  # of a packet, as the broker was asked
     _broken_by: OSError | None
 
     def loop_forever(
@@ -77,8 +82,22 @@ class BrokerClient(ThreadedClient):
         hint = "a certificate of the client (`tls`)" if self._ssl else "TLS (`mqtts://`)"
         return f"it ended before the broker answered: does it ask for {hint}? {why}"
 
+    def _handle_publish(self) -> MQTTErrorCode:
+        # paho keeps each message of QoS 2 until the broker lets it go, however many there are.
+        ended = super()._handle_publish()
+        is_within = len(self._in_messages) <= MOST_IN_FLIGHT
+        return ended if is_within else MQTTErrorCode.MQTT_ERR_PROTOCOL
+
+    def forget_unfinished(self) -> None:
+        """Let messages go that the broker does not know to be under way any more."""
+        with self._in_message_mutex:
+            self._in_messages.clear()
+
     def _sock_recv(self, bufsize: int) -> bytes:
         try:
+            if bufsize > self.most_octets:  # paho asks for what is left of the packet
+                text = f"{bufsize:,} octets; {self.most_octets:,} are allowed (max_octets)"
+                raise PacketTooLargeError(text)
             return super()._sock_recv(bufsize)
         except OSError as error:
             self._note(error)

@@ -111,6 +111,7 @@ class BrokerConnection:
         client.connect_timeout = _CONNECT_SECONDS
         client.reconnect_delay_set(_BACKOFF.first, _BACKOFF.most)  # type: ignore[arg-type]
         client.when_ended = self._on_ended
+        client.most_octets = options.budget.octets + _ROOM_FOR_TOPIC
         client.on_socket_open = _send_at_once
         client.on_connect = self._on_connect
         client.on_connect_fail = self._on_connect_fail
@@ -287,7 +288,7 @@ class BrokerConnection:
         wanted: dict[str, Any] = {
             "SessionExpiryInterval": max(1, int(options.grace)),
             "ReceiveMaximum": MOST_IN_FLIGHT,
-            "MaximumPacketSize": options.budget.octets + _ROOM_FOR_TOPIC,
+            "MaximumPacketSize": self._client.most_octets,
         }
         self._client.connect_async(
             options.host,
@@ -395,6 +396,8 @@ class BrokerConnection:
         if reason.is_failure:
             self._down(f"the broker refuses: {reason_text(reason)}", final=reason.value in _FINAL)
             return
+        if not flags.session_present:
+            self._client.forget_unfinished()
         self._largest = getattr(more, "MaximumPacketSize", None)
         self._client.keep_within(getattr(more, "ReceiveMaximum", MOST_IN_FLIGHT))
         with self._changed:

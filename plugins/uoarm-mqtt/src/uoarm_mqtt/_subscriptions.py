@@ -77,6 +77,7 @@ class Subscriptions:
         self._ids = itertools.count(_FIRST_ID)
         self._receivers: dict[str, list[Receiver]] = {}
         self._filters: dict[int, str] = {}
+        self._ids_of: dict[str, list[int]] = {}  # of each filter, the newest last
         # Filters from which the broker has not yet confirmed that it unsubscribed, and the
         # identifier under which it was asked: a session that outlives a break still has them.
         self._leaving: dict[str, int] = {}
@@ -88,9 +89,10 @@ class Subscriptions:
         """Add a receiver, or give it a new identifier; return the QoS to be subscribed with."""
         receiver.id = next(self._ids)
         self._filters[receiver.id] = receiver.topic
-        ids = [known for known, topic in self._filters.items() if topic == receiver.topic]
-        for old in ids[:-_KEPT_IDS]:
-            del self._filters[old]
+        ids = self._ids_of.setdefault(receiver.topic, [])
+        ids.append(receiver.id)
+        if len(ids) > _KEPT_IDS:
+            del self._filters[ids.pop(0)]
         self._leaving.pop(receiver.topic, None)
         receivers = self._receivers.setdefault(receiver.topic, [])
         if receiver not in receivers:
@@ -106,7 +108,8 @@ class Subscriptions:
         if several:
             return False
         del self._receivers[receiver.topic]
-        self._filters = {k: v for k, v in self._filters.items() if v != receiver.topic}
+        for known in self._ids_of.pop(receiver.topic):
+            del self._filters[known]
         self._leaving[receiver.topic] = receiver.id
         return True
 
