@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import sys
 
 import pytest
 from hypothesis import given
@@ -91,6 +92,38 @@ async def test_a_fat_stream_does_not_push_out_a_thin_one() -> None:
     assert outbox.waiting_bytes <= 1000
     assert thin.dropped == 0
     assert fat.dropped == 47
+
+
+@pytest.mark.parametrize("messages", [1, 4])
+def test_a_message_for_a_slow_client_costs_the_same_beside_few_streams_and_many(
+    messages: int,
+) -> None:
+    """All is done in the loop, which has other clients."""
+    spent = []
+    for count in (20, 2000):
+        outbox = Outbox(count * messages * 10, 10)
+        streams = [lane() for _ in range(count)]
+        for stream in streams * messages:
+            outbox.put(stream, bytes(10))
+        outbox.put(streams[0], bytes(10))
+        calls = 0
+
+        def count_calls(*_: object) -> None:
+            nonlocal calls
+            calls += 1
+
+        before = sys.getprofile()
+        sys.setprofile(count_calls)
+        for _ in range(10):
+            for stream in streams[:20]:
+                outbox.put(stream, bytes(10))
+        sys.setprofile(before)
+        spent.append(calls)
+        assert outbox.dropped == 201
+        for stream in streams:
+            outbox.discard(stream)
+        assert outbox.empty
+    assert spent[1] < 1.5 * spent[0]
 
 
 async def test_one_message_larger_than_the_limit_still_goes() -> None:

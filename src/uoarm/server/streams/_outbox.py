@@ -7,8 +7,9 @@ import itertools
 import math
 import sys
 import time
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable
+from heapq import heapify, heappop, heappush
 
 from attrs import define, field
 
@@ -20,6 +21,7 @@ from uoarm.server.streams._send_window import SendWindow
 
 _FRESH = 16
 _BEHIND_SECONDS = 0.25
+_SPARE = 64
 
 
 @define(eq=False)
@@ -115,7 +117,11 @@ class Outbox:
         self._replies: deque[tuple[bytes, bool]] = deque()
         # Streams with messages, the next one first: after its turn a stream goes to the end (round
         # robin). A stream is in it if and only if something of it waits.
-        self._turns: deque[Lane] = deque()
+        self._turns: OrderedDict[Lane, None] = OrderedDict()
+        # Once a client holds too much: its streams, the one to drop from first. A stream has an
+        # entry for each change, of which only the true ones count. None: to be made when needed.
+        self._fullest: list[tuple[bool, int, int, Lane]] | None = None
+        self._entries = itertools.count()
         # What is left of a message that is being sent in pieces: nothing of the same stream may
         # pass it.
         self._pieces: deque[tuple[bytes, bool]] = deque()
@@ -297,8 +303,7 @@ class Outbox:
         while lane.waiting:
             self._forget(lane)
         # Keeps the invariant of `_turns`: `_take_frame` takes a message of the first in it.
-        if lane in self._turns:
-            self._turns.remove(lane)
+        self._turns.pop(lane, None)
 
     async def next(self, octets: int = 1) -> list[tuple[bytes, bool]]:
         """Wait for frames to write, or until a ping is due; returns each and whether it is text.
@@ -393,7 +398,7 @@ class Outbox:
             if passing is not None:
                 self._begin_message(passing)
             elif not self._pieces:
-                self._in_pieces = self._turns[0]
+                self._in_pieces = next(iter(self._turns))
                 self._begin_message(self._in_pieces)
             frame, text = self._pieces.popleft()
             self._may_pass = passing is None
@@ -410,7 +415,7 @@ class Outbox:
         return None
 
     def _begin_message(self, lane: Lane) -> None:
-        self._turns.remove(lane)
+        del self._turns[lane]
         if len(lane.waiting) > _FRESH:
             self._drop_stale(lane)
         is_last = lane.finished and len(lane.waiting) == 1
@@ -421,7 +426,7 @@ class Outbox:
         # Noted at the first message that leaves: before that there is nothing a ping could measure.
         self._has_streamed |= lane.is_for_new
         if lane.waiting:
-            self._turns.append(lane)
+            self._turns[lane] = None
 
     def _drop(self, lane: Lane) -> None:
         self._forget(lane)
@@ -441,36 +446,66 @@ class Outbox:
 
         The largest of these is always kept.
         """
-        several = [lane for lane in self._turns if len(lane.waiting) > 1]
-        if several:
-            self._drop(max(several, key=_bytes_of))
+        largest = self._take_fullest()
+        if largest is None:
+            return False
+        if len(largest.waiting) > 1:
+            self._drop(largest)
             return True
         # Every stream has one message. The largest stays: a picture that alone exceeds the bound
         # passes once those before it are written, instead of never.
-        largest = max(self._turns, key=_bytes_of, default=None)
-        if largest is None or (
-            self._bytes - largest.waiting_bytes <= self.max_bytes and self.account.has_room(0)
-        ):
-            return False
-        others = [lane for lane in self._turns if lane is not largest and not lane.finished]
-        if others:
-            lane = max(others, key=_bytes_of)
+        kept, lane = [largest], None
+        if self._bytes - largest.waiting_bytes > self.max_bytes or not self.account.has_room(0):
+            while (lane := self._take_fullest()) is largest or (lane and lane.finished):
+                kept.append(lane)
+        if lane is not None:
             # That was its only message: the invariant of `_turns`.
             self._drop(lane)
-            self._turns.remove(lane)
-        return bool(others)
+            del self._turns[lane]
+        for other in kept:
+            self._rank(other)
+        return lane is not None
+
+    def _take_fullest(self) -> Lane | None:
+        """Take the stream out of the heap that holds most, one with a single message as the last.
+
+        There may be thousands, of a client that reads too slowly: each message that comes for it
+        costs the loop as much as one among few.
+        """
+        if self._fullest is None:
+            self._fullest = [self._entry(lane) for lane in self._turns]
+            heapify(self._fullest)
+        while self._fullest:
+            entry = heappop(self._fullest)
+            lane = entry[-1]
+            if lane.waiting and entry[:2] == self._entry(lane)[:2]:
+                return lane
+        return None
+
+    def _rank(self, lane: Lane) -> None:
+        """Keep the invariant of `_fullest`: a stream of which something waits has a true entry."""
+        if self._fullest is None or not lane.waiting:
+            return
+        if len(self._fullest) > 2 * len(self._turns) + _SPARE:
+            self._fullest = None
+        else:
+            heappush(self._fullest, self._entry(lane))
+
+    def _entry(self, lane: Lane) -> tuple[bool, int, int, Lane]:
+        # The number is another one for each, so that no two streams are compared.
+        return len(lane.waiting) == 1, -lane.waiting_bytes, next(self._entries), lane
 
     def _add(self, lane: Lane, frames: tuple[bytes, ...]) -> bool:
         """Add a message; say whether the client holds no more than it may."""
         # Keeps the invariant of `_turns`.
-        if not lane.waiting:
-            self._turns.append(lane)
+        self._turns.setdefault(lane)
         now = self._clock()
         self._waits_since = min(self._waits_since, now)
         lane.waiting.append((now, frames))
         size = sum(map(len, frames))
         lane.waiting_bytes += size
         self._bytes += size
+        self._rank(lane)
         self._wake()
         return self._data_held.grow(size)
 
@@ -480,6 +515,7 @@ class Outbox:
         size = sum(map(len, frames))
         lane.waiting_bytes -= size
         self._bytes -= size
+        self._rank(lane)
         if lane.finished and not lane.waiting:
             self._last_bytes -= size
             self._has_gone.set()
@@ -487,7 +523,3 @@ class Outbox:
 
     def _forget(self, lane: Lane) -> None:
         self._data_held.grow(-sum(map(len, self._take(lane))))
-
-
-def _bytes_of(lane: Lane) -> int:
-    return lane.waiting_bytes
