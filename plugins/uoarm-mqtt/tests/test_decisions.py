@@ -72,7 +72,7 @@ def test_a_filter_is_added_and_removed_without_a_look_at_the_others() -> None:
         def __eq__(self, other: object) -> bool:
             nonlocal looks
             looks += 1
-            return str.__eq__(self, other)  # type: ignore[arg-type]
+            return str.__eq__(self, other)
 
         __hash__ = str.__hash__
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from brokers import Broker
+from paho.mqtt.client import MQTTMessage
 from uoarm_mqtt import _link
 from uoarm_mqtt._link import BrokerConnection, PacketOutcome
 from uoarm_mqtt._options import BrokerOptions, connection_options
@@ -183,7 +184,7 @@ def test_a_broker_that_sends_more_than_it_was_asked_for_is_left(
 
 
 def test_what_a_broker_has_forgotten_is_under_way_no_more(link: BrokerConnection) -> None:
-    link._client._in_messages[7] = object()
+    link._client._in_messages[7] = MQTTMessage(7)
     link.require_up()
     assert not link._client._in_messages
     link.close()

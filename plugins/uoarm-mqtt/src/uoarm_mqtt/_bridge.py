@@ -111,7 +111,7 @@ class MqttBridge(Bridge):
                 for topic in topics
                 if topic.endswith(after)
             ]
-        discovered = map(self._discovered, topics)
+        discovered = map(self._discover_topic, topics)
         return tuple(component for component in discovered if component is not None)
 
     def _close(self) -> None:
@@ -165,7 +165,7 @@ class MqttBridge(Bridge):
     def _refuse(self, endpoint: Endpoint, why: str) -> NoReturn:
         raise BridgeError(f"bridge {self.name!r}: {endpoint}: {why}", FailureReason.NOT_FOUND)
 
-    def _discovered(self, topic: str) -> Discovered | None:
+    def _discover_topic(self, topic: str) -> Discovered | None:
         if topic.startswith(("$", self._options.replies)):
             return None
         for role in (Role.OUTPUT, Role.SERVICE):
