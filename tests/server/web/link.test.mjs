@@ -55,10 +55,27 @@ test("what a drop took is counted as the session goes on, and at the end", async
   robot.close();
 });
 
+test("numbers and octets that JSON has no form for are written as the protocol says", async () => {
+  const connecting = connect("ws://x/", { WebSocket: Socket });
+  const socket = Socket.made.at(-1);
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  const message = { wide: 2n ** 60n, off: NaN, far: -Infinity, near: 0.5, none: null };
+  const arrays = { octets: new Uint8Array([0, 255]), floats: new Float32Array([0.5, NaN]) };
+  robot.call("add", { ...message, ...arrays }).catch(() => {});
+  assert.deepEqual(socket.sent.at(-1).jsonMessage, {
+    wide: "1152921504606846976", off: "NaN", far: "-Infinity", near: 0.5, none: null,
+    octets: [0, 255], floats: [0.5, "NaN"],
+  });
+  robot.close();
+});
+
 test("what cannot be written fails alone, also while the connection is down", async () => {
   const answers = [];
   const { robot, second } = await dropped((robot) => {
-    answers.push(robot.call("add", 1n), robot.call("add", 2));
+    const round = {};
+    round.round = round;
+    answers.push(robot.call("add", round), robot.call("add", 2));
   });
   await assert.rejects(answers[0], TypeError);
   second.deliver(RESUMED);

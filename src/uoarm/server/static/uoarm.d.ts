@@ -5,7 +5,7 @@ export type Code =
   | "usage" | "closed" | "limit" | "busy" | "configuration" | "held" | "leased"
   | "refused" | "internal";
 
-/** A JSON value, and with `binary` also octets, typed arrays and BigInt. */
+/** A JSON value, octets, typed arrays and BigInt; these come only with `binary`, else as text. */
 export type Message = unknown;
 
 export class UoarmError extends Error {

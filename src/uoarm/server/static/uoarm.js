@@ -11,9 +11,17 @@ const NO_SOCKET =
   "there is no WebSocket here: Node.js has it from version 22 on, from 20.10 on with " +
   "--experimental-websocket; or give connect a class, { WebSocket }";
 const FORMS = {
-  json: { protocol: "uoarm.v1.json", read: JSON.parse, write: JSON.stringify },
+  json: { protocol: "uoarm.v1.json", read: JSON.parse, write: (it) => JSON.stringify(it, inJson) },
   cbor: { protocol: "uoarm.v1.cbor", read: decode, write: encode },
 };
+
+/** What JSON has no form for, as the protocol writes it: JSON.stringify makes null of NaN. */
+function inJson(_, value) {
+  if (typeof value === "bigint" || (typeof value === "number" && !Number.isFinite(value))) {
+    return String(value);
+  }
+  return ArrayBuffer.isView(value) ? Array.from(value) : value;
+}
 
 /** Messages for one reader: waits for the next, ends once, and keeps the newest when it is slow. */
 class Mailbox {
