@@ -64,6 +64,11 @@ def _circle() -> dict[str, object]:
         ({"enum": {1, 2}}, "type set"),
         ({"const": b"x"}, "type bytes"),
         ({1: {}}, "keywords that are text"),
+        ({"items": {"pattern": "(\\w+)\\1+$"}}, "the pattern '(\\\\w+)\\\\1+$' is not decided"),
+        (
+            {"patternProperties": {"(?<=a)b": {}}},
+            "the pattern '(?<=a)b' is not decided here: it looks behind",
+        ),
         (_circle(), "Circular"),
     ],
 )
@@ -77,7 +82,7 @@ def test_a_structure_that_is_no_schema_is_refused_before_anything_opens(
     bridge: Bridge = Lying()  # type: ignore[assignment]  # as much of one as is asked
     found = StructureCache(lambda _: bridge).structures(ROBOT.functions["camera"].components[0])
     assert isinstance(found, Unavailable)
-    assert "bridge 'a': structure 'output.default' is no JSON Schema: " in found.sentence
+    assert "bridge 'a': structure 'output.default' cannot be used: " in found.sentence
     assert expected in found.sentence
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from functools import lru_cache, partial
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from attrs import define, field, frozen
 
@@ -14,7 +14,7 @@ from uoarm._support import deadlines
 from uoarm.bridge import Bridge, Description
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Component, Endpoint, Meaning, MessageStructure, Reason
-from uoarm.schema import check
+from uoarm.schema import UnsupportedPatternError, check, found_in
 
 
 @frozen
@@ -224,7 +224,7 @@ def _proper(structure: MessageStructure, place: str) -> MessageStructure:
     try:
         _read_whole(structure)
     except (TypeError, ValueError, RecursionError) as error:
-        text = f"{place} is no JSON Schema: {error}"
+        text = f"{place} cannot be used: {error}"
         raise BridgeError(text, FailureReason.CONTRACT) from error
     return structure
 
@@ -232,6 +232,30 @@ def _proper(structure: MessageStructure, place: str) -> MessageStructure:
 @lru_cache(maxsize=1024)
 def _read_whole(structure: MessageStructure) -> None:
     check(structure.schema, structure.schema)
+    for pattern in _patterns(structure.schema):
+        try:
+            found_in(pattern, "")
+        except UnsupportedPatternError as error:
+            # Messages are searched for it with Python's `re`, which its author can have search for
+            # years. What the configuration declares is the owner's own.
+            hint = "the configuration may declare the structure"
+            text = f"the pattern {pattern!r:.80} is not decided here: {error}; {hint}"
+            raise ValueError(text) from None
+
+
+def _patterns(schema: Any) -> Iterator[str]:
+    """Give the patterns of a schema; also what only looks so, in a constant."""
+    waiting = [schema]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, Mapping):
+            if isinstance(pattern := value.get("pattern"), str):
+                yield pattern
+            if isinstance(named := value.get("patternProperties"), Mapping):
+                yield from named
+            waiting += value.values()
+        elif isinstance(value, list | tuple):
+            waiting += value
 
 
 class _UnknownError(Exception):
