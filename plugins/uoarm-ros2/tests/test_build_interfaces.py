@@ -70,6 +70,7 @@ def write(tmp_path: Path) -> Callable[..., Path]:
         ({}, "is no folder"),
         ({"claw_msgs/README": ""}, "has no definitions: expected package/msg/Name.msg"),
         ({"Claw/msg/Grip.msg": "bool a"}, "'Claw' is no name of a ROS package"),
+        ({f"{'claw' * 20}-old/msg/Grip.msg": "bool a"}, "-old' is no name of a ROS package"),
         ({"claw_msgs/msg/grip.msg": "bool a"}, "'grip' is no name of a type"),
         ({"a/claw/msg/A.msg": "bool a", "b/claw/msg/A.msg": ""}, "package claw is there twice"),
         ({"claw/msg/Grip.msg": "bool\n"}, "Grip.msg: "),

@@ -19,7 +19,7 @@ from uoarm.bridge import text_of
 from uoarm.errors import ConfigurationError, PluginError
 
 KINDS = ("msg", "srv", "action")
-_NAME = re.compile(r"[a-z](_?[a-z0-9]+)*")
+_NAME = re.compile(r"[a-z](_?[a-z0-9])*")
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 _VERSION = re.compile(r"<version[^>]*>\s*(\d+(\.\d+)*)\s*</version>")
 _MOST_FILES = 2_000
