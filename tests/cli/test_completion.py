@@ -72,7 +72,9 @@ def test_a_shell_has_them(tmp_path: Path) -> None:
     """As the page says it for bash; what zsh and fish ask for is the same."""
     (tmp_path / "robot.yaml").write_text(ROBOT)
     command = tmp_path / "uoarm"
-    command.write_text(f"#!{sys.executable}\nfrom uoarm.cli import main\nmain()\n")
+    # As pip writes it where the interpreter's path is no first line: for sh, then for Python.
+    head = f"""#!/bin/sh\n'''exec' "{sys.executable}" "$0" "$@"\n' '''"""
+    command.write_text(f"{head}\nfrom uoarm.cli import main\nmain()\n")
     command.chmod(0o755)
     typed = """
         eval "$(_UOARM_COMPLETE=bash_source uoarm)"

@@ -39,7 +39,7 @@ class Machine:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             text = text.replace("9080", str(free.getsockname()[1]))
-        text = text.replace("/opt/uoarm/bin/uoarm", sys.executable + " -m uoarm")
+        text = text.replace("/opt/uoarm/bin/uoarm", f'"{sys.executable}" -m uoarm')
         text = text.replace("/etc/uoarm/robot.yaml", str(self.configuration))
         text = text.replace("SupplementaryGroups=dialout", "SupplementaryGroups=0")
         text = text.replace("User=uoarm", f"User={OTHER_USER.pw_name}")

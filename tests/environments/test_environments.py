@@ -37,7 +37,7 @@ def _fake_uv(folder: Path, install: str) -> str:
     """A stand-in for uv that notes what it was asked for."""
     text = f"""
 echo "$@" >> {folder}/asked
-if [ "$1" = venv ]; then mkdir -p "$4/bin"; ln -s {sys.executable} "$4/bin/python"; exit 0; fi
+if [ "$1" = venv ]; then mkdir -p "$4/bin"; ln -s "{sys.executable}" "$4/bin/python"; exit 0; fi
 {install}"""
     return str(_executable(folder / "uv", text))
 
@@ -234,7 +234,7 @@ def test_the_doctor_reports_what_is_missing(tmp_path: Path, home: Path) -> None:
     environments.create("good", ("a",), uv=_fake_uv(tmp_path, ""))
     good = home / "good" / "bin" / "python"
     good.unlink()
-    _executable(good, f'exec {sys.executable} "$@"')
+    _executable(good, f'exec "{sys.executable}" "$@"')
     _executable(home / "bad" / "bin" / "python", "echo no module named msgpack >&2; exit 1")
     (home / "bad" / "uoarm-environment.json").write_text(json.dumps({"requirements": []}))
     (home / "cut" / "bin").mkdir(parents=True)
@@ -305,7 +305,7 @@ def test_a_plugin_that_lacks_its_middleware_in_an_environment_is_reported(
     _executable(
         script,
         f"""
-if [ "$1" = -m ] && [ "$2" = uoarm ]; then echo '{message}'; else exec {sys.executable} "$@"; fi""",
+if [ "$1" = -m ] && [ "$2" = uoarm ]; then echo '{message}'; else exec "{sys.executable}" "$@"; fi""",
     )
     text = f"""
 if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {script} "$4/bin/python"; fi"""
@@ -335,7 +335,7 @@ def test_an_environment_is_examined_without_the_libraries_of_our_own_middleware(
     message = json.dumps({"uoarm": {"version": "1"}})
     text = f"""
 echo "$1 ${{LD_LIBRARY_PATH}} ${{_ROS_WHEELS_BOOTSTRAP_COMPLETE}} ${{PYTHONPATH}}." >> {traces}
-if [ "$1" = -m ]; then echo '{message}'; else exec {sys.executable} "$@"; fi"""
+if [ "$1" = -m ]; then echo '{message}'; else exec "{sys.executable}" "$@"; fi"""
     _executable(folder / "bin" / "python", text)
     (folder / "uoarm-environment.json").write_text('{"requirements": []}')
     [found] = map(environments.examine, environments.listed())
