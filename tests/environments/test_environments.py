@@ -305,7 +305,8 @@ def test_a_plugin_that_lacks_its_middleware_in_an_environment_is_reported(
     _executable(
         script,
         f"""
-if [ "$1" = -m ] && [ "$2" = uoarm ]; then echo '{message}'; else exec "{sys.executable}" "$@"; fi""",
+if [ "$1" = -m ] && [ "$2" = uoarm ]; then echo '{message}'
+else exec "{sys.executable}" "$@"; fi""",
     )
     text = f"""
 if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {script} "$4/bin/python"; fi"""

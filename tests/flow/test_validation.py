@@ -7,6 +7,7 @@ import math
 import re
 import time
 from array import array
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,6 +45,22 @@ def check(message: Message) -> None:
 )
 def test_every_form_of_octets_is_an_array(data: object) -> None:
     check({"width": 1, "data": data})
+
+
+@pytest.mark.parametrize(
+    ("schema", "message"),
+    [
+        ({"enum": [1, "a"]}, np.zeros((2, 2))),
+        ({"const": [0, 0]}, np.zeros(2)),
+        (False, memoryview(b"abcd").cast("B", (2, 2))),
+        ({"enum": [1, "a"]}, {b"a": 1}),
+    ],
+)
+def test_a_value_that_is_none_of_json_is_refused_as_a_message(schema: Any, message: Any) -> None:
+    checker = make_check(MessageStructure(schema), ValidationMode.ALWAYS, "camera.default")
+    assert checker is not None
+    with pytest.raises(MessageError, match=r"camera\.default: "):
+        checker(message)
 
 
 @pytest.mark.parametrize("ranges", [np.array([0.0, 2.5]), array("d", [0.5]), [1, 2.5], np.empty(0)])

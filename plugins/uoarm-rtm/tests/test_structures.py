@@ -130,6 +130,12 @@ def test_a_derived_type_has_no_name_of_its_own() -> None:
     assert "x-type" not in schema_of(derive("port", structure, is_read=False))
 
 
+def test_what_is_of_several_types_gives_none() -> None:
+    structure = MessageStructure({"type": ["object", "null"], "properties": {"a": {}}})
+    with pytest.raises(BridgeError, match="no type of its own"):
+        derive("port", structure, is_read=False)
+
+
 def test_members_of_unions_are_known_by_their_switch() -> None:
     schema = types().structure("Odd/ByNumber").schema
     assert isinstance(schema, dict)

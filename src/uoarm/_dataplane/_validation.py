@@ -72,6 +72,9 @@ def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Mess
         # Both may go as deep as the message, which a peer chose: it is refused, and no thread ends.
         except RecursionError:
             raise MessageError(f"{place}: the message is nested too deep") from None
+        except Exception as error:  # an array compared with a known value raises, say
+            text = f"{place}: the message has a value that is none of JSON: {error!s:.200}"
+            raise MessageError(text) from error
         if mismatch:
             raise MessageError(f"{place}: {mismatch}")
 

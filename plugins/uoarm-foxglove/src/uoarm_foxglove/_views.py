@@ -148,7 +148,7 @@ def _at(fields: Fields, path: Path) -> Mapping[str, Any] | None:
 
 
 def _is_number(schema: object) -> bool:
-    return isinstance(schema, Mapping) and schema.get("type") in {"number", "integer"}
+    return isinstance(schema, Mapping) and schema.get("type") in ("number", "integer")
 
 
 def _is_integer(schema: object) -> bool:

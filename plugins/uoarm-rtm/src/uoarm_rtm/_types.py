@@ -136,8 +136,8 @@ def _shape(schema: Any, path: str, depth: int) -> Shape:
         return _listing(schema, path, depth)
     if kind == "integer":
         return _integer(schema, path)
-    if kind in _PLAIN:
-        return _PLAIN[str(kind)]
+    if isinstance(kind, str) and kind in _PLAIN:
+        return _PLAIN[kind]
     raise _none(path, "it has no type of its own: expected an object, array, number or text")
 
 
