@@ -190,10 +190,10 @@ class Collector:
     def let_go(self, writer: str = "") -> None:
         """Keep what came: nothing stands here."""
 
-    def unreadable(self, why: str) -> None:
+    def unreadable(self, why: str | Exception) -> None:
         """Keep why a message could not be read."""
         with self._changed:
-            self.unread.append(why)
+            self.unread.append(str(why))
             self._changed.notify_all()
 
     def readable(self) -> None:
