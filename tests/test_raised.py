@@ -26,7 +26,14 @@ from uoarm._raised import (
     text_of,
     writable,
 )
-from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, MessageError
+from uoarm.config import loads
+from uoarm.errors import (
+    BridgeError,
+    ConfigurationError,
+    ConnectionClosedError,
+    FailureReason,
+    MessageError,
+)
 from uoarm.testing import ManualClock
 
 
@@ -244,3 +251,18 @@ def test_a_text_that_quits_is_none() -> None:
             raise SystemExit(3)
 
     assert text_of(Quitting()) == "Quitting, whose text raised SystemExit"
+
+
+def test_what_an_error_of_uoarm_says_has_no_traceback_of_uoarm_alone(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    log = LimitedLog("uoarm.test", burst=2)
+    with pytest.raises(ConfigurationError) as caught:
+        loads("version: 2")
+    error, trace = caught.value, caught.value.__traceback__
+    assert trace is not None
+    log.write(logging.WARNING, "here is who called", error)
+    log.write(logging.WARNING, "as caught within uoarm", error.with_traceback(trace.tb_next))
+    first, second = caplog.records
+    assert first.exc_info is not None
+    assert second.exc_info is None

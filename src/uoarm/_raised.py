@@ -230,5 +230,8 @@ class LimitedLog:
         if isinstance(error, BridgeError) and error.__cause__ is not None:
             error = error.__cause__  # the text says already in which step that was raised
         shown = None if error is None else writable(from_own_frames(error))
+        trace = None if error is None else error.__traceback__
+        if isinstance(error, UoarmError) and trace is not None and _is_ours(trace.tb_frame):
+            shown = None  # all of it is ours, and the text says more
         with suppress(Exception):  # of a handler of the application, or of a component
             foreign(logger.log, level, "%s%s", text, more, exc_info=shown)

@@ -148,6 +148,20 @@ def test_what_the_host_prints_reaches_the_log_with_its_name(
     assert any(record.name == "uoarm.host.far" for record in caplog.records)
 
 
+@pytest.mark.parametrize("role", [Role.INPUT, Role.SERVICE])
+def test_what_a_component_raises_in_the_host_is_logged_with_its_line(
+    far: RemoteBridge, caplog: pytest.LogCaptureFixture, role: Role
+) -> None:
+    if role is Role.INPUT:
+        far.open_sink(at("refuse", role), ANY).send(7)
+    else:
+        with pytest.raises(BridgeError, match="7 is not wanted"):
+            far.call(at("refuse", role), 7)
+    wait(lambda: "ValueError: 7 is not wanted" in caplog.text)
+    wait(lambda: "in refuse" in caplog.text)
+    assert "in foreign" not in caplog.text
+
+
 def test_a_crash_in_c_is_reported_with_the_line_that_called_it(
     far: RemoteBridge, caplog: pytest.LogCaptureFixture
 ) -> None:

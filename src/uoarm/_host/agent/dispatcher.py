@@ -9,7 +9,7 @@ from functools import lru_cache
 from threading import Event
 from typing import Any, TypeVar, cast
 
-from uoarm._host.agent.flows import OpenFlows, packable_facts
+from uoarm._host.agent.flows import OpenFlows, RaisedLog, packable_facts
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack, unpack
 from uoarm._host.transport.flow import FlowEnding
@@ -56,6 +56,7 @@ class RequestDispatcher:
         self._reporter = WorkerPool("uoarm-report", 1)
         self._looker = WorkerPool("uoarm-look", 1)
         self._looking = Event()
+        self._raised: dict[str, RaisedLog] = {}  # of services, by component
         self._facts: Mapping[str, object] = {}
         self._end = end
         self._before_moving = before_moving
@@ -160,7 +161,14 @@ class RequestDispatcher:
         endpoint = _read(request["endpoint"], Endpoint)
         structures = _read(request["structures"], ServiceStructures)
         message, limit, number = request["message"], request["timeout"], request["call"]
-        return self._bridge.call(endpoint, message, structures, timeout=limit, number=number)
+        try:
+            return self._bridge.call(endpoint, message, structures, timeout=limit, number=number)
+        except BridgeError as error:
+            records = self._raised.get(endpoint.component)
+            if records is None:
+                records = self._raised[endpoint.component] = RaisedLog(endpoint, "the service")
+            records.write(error)
+            raise
 
     def _serve(self, request: Request) -> None:
         endpoint = _read(request["endpoint"], Endpoint)

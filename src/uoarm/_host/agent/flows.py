@@ -116,6 +116,20 @@ class OutboundFlow:
         self._outgoing.close()
 
 
+class RaisedLog:
+    """Logs here what a component raised: the manager gets its text, and not its traceback."""
+
+    def __init__(self, endpoint: Endpoint, what: str) -> None:
+        self._text = f"component {endpoint.component}: {what} raised"
+        self._records = LimitedLog(f"uoarm.component.{endpoint.component}")
+
+    def write(self, error: Exception) -> None:
+        """Write what a step raised where that is the component's."""
+        if is_raised(error):
+            raised = error.__cause__ or error
+            self._records.write(logging.WARNING, f"{self._text} {text_of(raised)}", raised)
+
+
 @define
 class _Open:
     channel: Channel
@@ -162,6 +176,7 @@ class OpenFlows:
         """Feed a sink with the messages of a flow, of this structure, from now on."""
         name = f"{sink.endpoint.component}.{sink.endpoint.port}"
         moves = sink.endpoint.command is not None
+        records = RaisedLog(sink.endpoint, f"its input {sink.endpoint.port!r}")
 
         def take(message: Message) -> None:
             try:
@@ -171,6 +186,7 @@ class OpenFlows:
                 check = make_check(structure, ValidationMode.ALWAYS, name)
                 if check is not None and is_raised(contained(error)):
                     check(message)
+                records.write(contained(error))
                 raise
 
         incoming = FlowReceiver(
