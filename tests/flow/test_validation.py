@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import re
+import sys
 import time
 from array import array
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from uoarm._dataplane import Route, make_check
+from uoarm._dataplane._full_validator import _key
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, ValidationMode
 
@@ -268,6 +271,56 @@ def test_patterns_are_read_as_the_proof_reads_them(message: Message, path: str |
     else:
         with pytest.raises(MessageError, match=f"p: {path}"):
             checker(message)
+
+
+UNIQUE = MessageStructure({"type": "array", "uniqueItems": True})
+
+
+@pytest.mark.parametrize(
+    ("items", "are_unique"),
+    [
+        ([1, True, "1", [1], [True], {"a": 1}, {"a": True}, None, False, 0, 1.5, {}, []], True),
+        ([1, 1.0], False),
+        ([10**300, 1e300], True),
+        ([2**60, float(2**60)], False),
+        ([{"a": [1, {"b": 2}], "c": 3}, {"c": 3, "a": [1.0, {"b": 2}]}], False),
+        ([b"ab", [97, 98]], False),
+        ([None, None], False),
+        ([math.nan, math.inf, -math.inf], True),
+        (array("d", [1, 2, 1]), False),
+    ],
+)
+def test_items_are_unique_as_json_values_are(items: Any, are_unique: bool) -> None:
+    checker = make_check(UNIQUE, ValidationMode.ALWAYS, "p")
+    assert checker is not None
+    if are_unique:
+        checker(items)
+    else:
+        with pytest.raises(MessageError, match="stands here twice"):
+            checker(items)
+
+
+@pytest.mark.parametrize("wrap", [lambda number: {"a": number}, lambda number: [number, "a"]])
+def test_whether_items_are_unique_costs_as_much_as_there_are(wrap: Callable[[int], Any]) -> None:
+    checker = make_check(UNIQUE, ValidationMode.ALWAYS, "p")
+    assert checker is not None
+    spent = []
+    for count in (10, 100, 200):
+        items = [*map(wrap, range(count - 1)), "mixed"]
+        calls = 0
+
+        def count_calls(*_: object) -> None:
+            nonlocal calls
+            calls += 1
+
+        before = sys.getprofile()
+        sys.setprofile(count_calls)
+        checker(items)
+        sys.setprofile(before)
+        spent.append(calls)
+    assert spent[2] < 2.2 * spent[1]
+    alike = [_key(wrap(number * (2**61 - 1))) for number in range(1000)]
+    assert len(set(map(hash, alike))) > 900  # to Python all these numbers have one hash
 
 
 numbers = st.one_of(

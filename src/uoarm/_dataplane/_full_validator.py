@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 from jsonschema import Draft202012Validator, validators
 from jsonschema.exceptions import ValidationError
@@ -126,7 +126,15 @@ def _kind() -> type[Validator]:
     sizes = {name: _sized(*size) for name, size in _SIZES.items()}
     kind: type[Validator] = validators.extend(  # type: ignore[no-untyped-call]
         Draft202012Validator,
-        {"type": _type, "items": _items, **ranges, **sizes, **units, **PATTERN_KEYWORDS},
+        {
+            "type": _type,
+            "items": _items,
+            "uniqueItems": _unique,
+            **ranges,
+            **sizes,
+            **units,
+            **PATTERN_KEYWORDS,
+        },
         type_checker=checker,
     )
     return kind
@@ -148,6 +156,38 @@ def _sized(kind: str, holds: Callable[[int, int], bool]) -> Callable[..., Errors
             yield ValidationError("of another size")
 
     return within
+
+
+def _unique(
+    validator: Validator,
+    wanted: bool,  # noqa: FBT001 - a keyword
+    instance: Any,
+    _: object,
+) -> Errors:
+    """Hold `uniqueItems` in time that grows with the items: jsonschema compares each two."""
+    if wanted and validator.is_type(instance, "array"):
+        keys = set(map(_key, instance))
+        if len(keys) < len(instance):
+            yield ValidationError("the same item twice")
+
+
+def _key(value: object) -> Hashable:
+    """Return what is equal where JSON values are, and differs in its hash where they do not.
+
+    Numbers are written down: who sends them can choose thousands of one hash.
+    """
+    value = _plain_number(value)
+    if isinstance(value, bool) or value is None:
+        return value is None, bool(value)
+    if isinstance(value, float) and not value.is_integer():
+        return value if math.isnan(value) else ("number", value.hex())
+    if isinstance(value, int | float):
+        return "number", f"{int(value):x}"
+    if isinstance(value, Mapping):
+        return "object", frozenset((name, _key(item)) for name, item in value.items())
+    if isinstance(value, list | tuple) or _is_buffer(value):
+        return "array", tuple(map(_key, cast("Sequence[object]", value)))
+    return value
 
 
 def _within_units(encoding: str, unit: int) -> Callable[..., Errors]:
