@@ -7,7 +7,7 @@ whatever the width of the array that they come in.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias
 
 from uoarm._adapt._mapping import Clamp, Scale, Structure, UnfitError, kind_of, write_path
@@ -17,7 +17,7 @@ from uoarm.errors import MessageError
 
 Maker: TypeAlias = Callable[[Any], Any]
 _MAX_LEVELS = 12
-_WORD = 2**63
+_WIDTHS = (16, 32, 64)
 
 
 def scaled(scale: Scale, source: Structure, schema: Any, path: FieldPath) -> tuple[Any, Maker]:
@@ -123,8 +123,9 @@ def _scalers(scale: Scale, where: str) -> tuple[Maker, Maker]:
                 ends = least * factor, most * factor
                 sums = (offset, *(end + offset for end in ends)) if _is_whole(offset) else ()
                 met = (factor, least, most, *ends, *sums)
-                if all(-_WORD <= number < _WORD for number in met):
-                    return value.astype("int64") * factor + offset
+                width = next((bits for bits in _WIDTHS if _fit(met, bits)), None)
+                if width is not None:
+                    return value.astype(f"int{width}") * factor + offset
         return None
 
     return number, array
@@ -145,6 +146,10 @@ def _clampers(low: float, high: float) -> tuple[Maker, Maker]:
         return None
 
     return number, array
+
+
+def _fit(numbers: Iterable[float], bits: int) -> bool:
+    return all(-(2 ** (bits - 1)) <= number < 2 ** (bits - 1) for number in numbers)
 
 
 def _limits(dtype: Any) -> tuple[int, int]:
