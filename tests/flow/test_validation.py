@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from uoarm._dataplane import Route, make_check
+from uoarm._dataplane._compiled_check import judged
 from uoarm._dataplane._full_validator import _key
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, ValidationMode
@@ -271,6 +272,54 @@ def test_patterns_are_read_as_the_proof_reads_them(message: Message, path: str |
     else:
         with pytest.raises(MessageError, match=f"p: {path}"):
             checker(message)
+
+
+def tree(union: str, *order: str) -> MessageStructure:
+    """Return the structure of a tree of two kinds of nodes, and of leaves."""
+
+    def node(kind: str) -> dict[str, Any]:
+        members = {"children": {"type": "array", "items": {"$ref": "#/$defs/node"}}}
+        members["kind"] = {"const": kind}
+        properties = {name: members[name] for name in order}
+        return {"type": "object", "properties": properties, "required": [*order]}
+
+    leaf = {"type": "object", "properties": {"kind": {"const": "leaf"}}, "required": ["kind"]}
+    forms = {union: [node("sequence"), node("selector"), leaf]}
+    return MessageStructure({"$defs": {"node": forms}, "$ref": "#/$defs/node"})
+
+
+@pytest.mark.parametrize("union", ["anyOf", "oneOf"])
+@pytest.mark.parametrize("leaf", ["leaf", "loaf"])
+def test_a_tree_of_nodes_of_several_kinds_costs_what_it_holds(union: str, leaf: str) -> None:
+    """Each level was held against each kind, with all that is below it: twice as much for each."""
+    checker = make_check(tree(union, "children", "kind"), ValidationMode.ALWAYS, "p")
+    assert checker is not None
+    message: dict[str, Any] = {"kind": leaf}
+    for _ in range(40):
+        message = {"kind": "selector", "children": [message]}
+    if leaf == "leaf":
+        checker(message)
+    else:
+        with pytest.raises(MessageError, match="is none of the 3 forms allowed"):
+            checker(message)
+    assert judged.parts is None
+
+
+@pytest.mark.parametrize("union", ["anyOf", "oneOf"])
+def test_parts_that_are_the_same_object_are_judged_by_each_reference(union: str) -> None:
+    number, text = {"type": "integer"}, {"type": "array", "items": {"$ref": "#/$defs/text"}}
+    schema = {
+        "$defs": {"text": {union: [{"type": "string"}, text]}, "number": {union: [number]}},
+        "properties": {"a": {"$ref": "#/$defs/text"}, "b": {"$ref": "#/$defs/number"}},
+    }
+    checker = make_check(MessageStructure(schema), ValidationMode.ALWAYS, "p")
+    assert checker is not None
+    same = ["x", ["y"]]
+    checker({"a": same, "b": 1})
+    with pytest.raises(MessageError, match=r"p: b: "):
+        checker({"a": same, "b": same})
+    with pytest.raises(MessageError, match=r"p: a"):
+        checker({"a": [*same, [1]], "b": 1})
 
 
 UNIQUE = MessageStructure({"type": "array", "uniqueItems": True})

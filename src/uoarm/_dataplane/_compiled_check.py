@@ -7,8 +7,10 @@ which also finds the words. So nothing here needs to be complete, and it never i
 from __future__ import annotations
 
 import math
+import threading
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 from attrs import define, field, frozen
@@ -115,6 +117,35 @@ _MISSING = object()
 
 class _UnknownError(Exception):
     """A keyword, or a use of one, whose meaning is left to the whole validator."""
+
+
+_COMPOSITE = frozenset({dict, list, tuple})
+
+
+class _Judged(threading.local):
+    """What the parts of the message that a thread judges came to, by reference and part.
+
+    Where several forms of a structure lead to the same part, as those of a tree's nodes do, each
+    level would double what the check takes.
+
+    Attributes:
+        parts: with each part, so that no other gets its identity meanwhile; None: nothing is kept.
+    """
+
+    parts: dict[tuple[object, int], tuple[Any, Any]] | None = None
+
+
+judged = _Judged()
+
+
+@contextmanager
+def judging() -> Iterator[None]:
+    """Judge one message in this thread, which looks at each part of it once for each reference."""
+    judged.parts = {}
+    try:
+        yield
+    finally:
+        judged.parts = None
 
 
 def compile_check(schema: Schema, judge: Callable[[Schema], Accepts]) -> Accepts:
@@ -246,7 +277,14 @@ class _Compiler:
                 raise _UnknownError
 
             def later(value: Any) -> bool:  # where it refers to itself
-                return known[reference](value)
+                parts = judged.parts
+                kind: Any = value.__class__
+                if parts is None or kind not in _COMPOSITE:
+                    return known[reference](value)
+                key = (reference, id(value))
+                if key not in parts:
+                    parts[key] = value, known[reference](value)
+                return bool(parts[key][1])
 
             # Before its part is compiled, which may refer to it: it finds this, and ends.
             known[reference] = later

@@ -18,6 +18,7 @@ from jsonschema import Draft202012Validator, validators
 from jsonschema.exceptions import ValidationError
 from jsonschema.protocols import Validator
 
+from uoarm._dataplane._compiled_check import judged
 from uoarm._encodable import is_encodable
 from uoarm.model import Schema
 from uoarm.schema import UnsupportedPatternError, found_in
@@ -130,6 +131,7 @@ def _kind() -> type[Validator]:
             "type": _type,
             "items": _items,
             "uniqueItems": _unique,
+            "$ref": _reference,
             **ranges,
             **sizes,
             **units,
@@ -156,6 +158,33 @@ def _sized(kind: str, holds: Callable[[int, int], bool]) -> Callable[..., Errors
             yield ValidationError("of another size")
 
     return within
+
+
+def _reference(
+    validator: Draft202012Validator, reference: str, instance: Any, schema: object
+) -> Errors:
+    """Hold a reference; a part of the message that it was held against has its first error."""
+    hold = Draft202012Validator.VALIDATORS["$ref"]
+    errors: Errors = hold(validator, reference, instance, schema)
+    parts = judged.parts
+    if parts is None or not isinstance(instance, list | tuple | Mapping):
+        yield from errors
+        return
+    # The schema around a reference says which of those of the same text it is.
+    key = (id(schema), id(instance))
+    if key in parts:
+        first = parts[key][1]
+        if first is not None:
+            yield ValidationError.create_from(first)
+        return
+    first = None
+    for error in errors:
+        if first is None:
+            # Before it gets the places around it.
+            first = ValidationError.create_from(error)
+            parts[key] = instance, first
+        yield error
+    parts[key] = instance, first
 
 
 def _unique(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import reprlib
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from attrs import define, field
 
-from uoarm._dataplane._compiled_check import Accepts, compile_check
+from uoarm._dataplane._compiled_check import Accepts, compile_check, judging
 from uoarm._dataplane._failures import OutputWatch
 from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck
 from uoarm._encodable import encodable, is_encodable
@@ -101,20 +102,32 @@ class _Judgement:
 
     schema: Schema
     accepts: Accepts = field(init=False)
+    _scope: Callable[[], AbstractContextManager[None]] = field(default=nullcontext, init=False)
     _validator: Validator | None = field(default=None, init=False)
 
     def __attrs_post_init__(self) -> None:
-        self.accepts = compile_check(self.schema, self._judge)
+        self.accepts = accepts = compile_check(self.schema, self._judge)
+        keywords = frozenset(_names_in(self.schema))
+        # What a dynamic reference leads to depends on the way to it.
+        if "$ref" in keywords and not keywords & {"$dynamicRef", "$dynamicAnchor"}:
+            self._scope = judging
+
+            def remembering(message: Message) -> bool:
+                with judging():
+                    return accepts(message)
+
+            self.accepts = remembering
 
     def mismatch(self, message: Message) -> str:
         """Return all that is wrong with a message, and where; nothing where it matches."""
         speller = Speller()
         reports: dict[tuple[Path, str], str] = {}
-        for error in islice(self._whole().iter_errors(message), _LOOKED_AT):
-            path, sentence = _sentence(error, speller)
-            alike = tuple("*" if isinstance(part, int) else part for part in path), sentence
-            place = encodable(".".join(map(str, path))) or "the message"
-            reports.setdefault(alike, f"{place}: {_shorten(sentence)}")
+        with self._scope():
+            for error in islice(self._whole().iter_errors(message), _LOOKED_AT):
+                path, sentence = _sentence(error, speller)
+                alike = tuple("*" if isinstance(part, int) else part for part in path), sentence
+                place = encodable(".".join(map(str, path))) or "the message"
+                reports.setdefault(alike, f"{place}: {_shorten(sentence)}")
         return "; ".join(
             [*list(reports.values())[:_SHOWN], *(["..."] if len(reports) > _SHOWN else [])]
         )
@@ -144,6 +157,18 @@ class _Judgement:
 @lru_cache(maxsize=256)
 def _judgement(structure: MessageStructure) -> _Judgement:
     return _Judgement(structure.schema)
+
+
+def _names_in(schema: Any) -> Iterator[str]:
+    """Give the names of all members in a schema: its keywords, and what looks like one."""
+    waiting = [schema]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, Mapping):
+            yield from value
+            waiting += value.values()
+        elif isinstance(value, list | tuple):
+            waiting += value
 
 
 def _sentence(error: ValidationError, speller: Speller) -> tuple[Path, str]:
