@@ -326,6 +326,11 @@ def test_one_naming_service_of_two_is_enough(make_bridge: Make, peer: Start) -> 
         one.process.wait()
         assert bridge.describe(OUT).message is not None
         assert [component.name for component in bridge.discover()] == ["Mortal.rtc"]
+        sink(bridge, endpoint(Role.INPUT, "self", "said", "TimedLong"))
+        with NameServer(one.port) as again:
+            own: Any = bridge
+            wait(lambda: own._services[0].resolve("uoarm_rtm.rtc") is not None)
+            assert again.address == one.address
 
 
 SHUTDOWN = """

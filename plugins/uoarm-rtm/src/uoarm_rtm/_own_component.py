@@ -80,7 +80,7 @@ class OwnComponent:
         report: takes (health, sentence) when its name is lost or bound again.
 
     Raises:
-        BridgeError: a naming service does not answer.
+        BridgeError: no naming service answers.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class OwnComponent:
         self.component = RtComponent(orb, ComponentProfile(name), seconds=seconds)
         self.component.lifecycle.activate()
         try:
-            self.component.bind(services)
+            self._bind()
         except BaseException:
             self.component.close()
             raise
@@ -142,6 +142,16 @@ class OwnComponent:
         )
         self.component.add_port(port)
         return Channel(endpoint, lambda: self.component.remove_port(port))
+
+    def _bind(self) -> None:
+        silent = []
+        for service in self._services:
+            try:
+                self.component.bind([service])
+            except BridgeError as error:  # `tick` binds the name there once the service answers
+                silent.append(error)
+        if silent and len(silent) == len(self._services):
+            raise silent[0]
 
     def tick(self) -> None:
         """Bind the name again where a naming service has forgotten it; nothing once closed."""
