@@ -12,18 +12,20 @@ from typing import Any
 import pytest
 from endpoints import bridge_to, input_, output
 from peers import Master, Peer
-from uoarm_ros1 import _master, _node
+from uoarm_ros1 import _bridge, _channels, _master, _node
 from uoarm_ros1._bridge import Ros1Bridge
 from uoarm_ros1._channels import SameTopic
 from uoarm_ros1._discovery import Graph
-from uoarm_ros1._master import Peers, SharedAnswer
+from uoarm_ros1._master import GraphState, Peers, SharedAnswer
 from uoarm_ros1._subscription import _Publisher
 
 from uoarm.bridge import Bridge, Source
 from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import MessageStructure
 from uoarm.testing import patience, slowness, wait
 
 INT = "std_msgs/Int32"
+ANY = MessageStructure(True)
 TOPICS = 20
 
 
@@ -148,6 +150,43 @@ def test_a_node_that_hangs_is_asked_once_whatever_is_lost_of_it(
         assert set(questions) == {"getSystemState", "lookupNode", "getPid"}
         assert max(questions.values()) <= 2
     peer.kill()
+
+
+def test_nodes_that_hang_are_asked_at_once(master: Master, monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = {f"/lost/{number}": (f"/node/{number}",) for number in range(3)}
+    with bridge_to(master, check=patience(), rosout=False) as bridge:
+        assert isinstance(bridge, Ros1Bridge)
+        wait(lambda: bridge._master_health.is_up, "the master does not answer", patience())
+        hanging = threading.Barrier(len(nodes))
+
+        def answers(_: str) -> bool:
+            hanging.wait(patience())
+            return False
+
+        monkeypatch.setattr(bridge._node, "answers", answers)
+        monkeypatch.setattr(bridge._node, "address", lambda name: name)
+        state = GraphState(time.monotonic(), nodes)
+        monkeypatch.setattr(bridge._node.master, "state", lambda _: state)
+        for topic in nodes:
+            bridge._remember(output(topic))
+        bridge._look_at_graph()
+        assert not hanging.broken
+
+
+def test_inputs_that_are_opened_ask_the_master_once_who_subscribes(
+    master: Master, lasting: Peer, questions: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (_bridge, _channels):
+        monkeypatch.setattr(module, "_LATELY_SECONDS", 10 * patience())
+    topics = [f"/fed/{number}" for number in range(TOPICS)]
+    for topic in topics:
+        lasting.do("subscribe", topic=topic, type=INT)
+    with bridge_to(master, check=patience(), rosout=False) as bridge:
+        sinks = [bridge.open_sink(input_(topic, INT), ANY) for topic in topics]
+        assert questions["getSystemState"] <= TOPICS / 4
+        lasting.do("subscribe", topic="/late", type=INT)
+        sinks.append(bridge.open_sink(input_("/late", INT, peer="optional"), ANY))
+        assert all(sink.facts()["subscribers"] for sink in sinks), "each waited for its own"
 
 
 def test_a_node_does_not_ask_where_it_is_itself(master: Master, questions: Counter[str]) -> None:

@@ -67,7 +67,7 @@ def require_server(graph: Graph, endpoint: Endpoint, name: str) -> None:
     if not servers:
         text = f"{endpoint}: there is no server of action {name}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
-    if not any(map(graph.is_alive, servers)):
+    if not graph.living(servers):
         text = f"{endpoint}: of the servers of action {name} none answers: {', '.join(servers)}"
         raise BridgeError(text, FailureReason.UNAVAILABLE)
 

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import TypeVar
 from weakref import WeakSet
@@ -268,7 +269,7 @@ class Ros1Bridge(Bridge):
             who = f"node {port.node} does not subscribe" if port.node else "no node subscribes"
             seen = graph.seen_as(topic, address_of(endpoint).type)
             raise BridgeError(f"{endpoint}: {who} to {topic}{seen}", FailureReason.NOT_FOUND)
-        if not any(map(graph.is_alive, subscribers)):
+        if not graph.living(subscribers):
             text = (
                 f"{endpoint}: of the subscribers of {topic} none answers: {', '.join(subscribers)}"
             )
@@ -449,9 +450,12 @@ class Ros1Bridge(Bridge):
 
     def _tick(self, graph: Graph) -> None:
         # Apart from what waits: its frame would keep the last channel, closed or not.
-        for channel in tuple(self._ticking):
-            if not channel.closed:
-                channel.tick(graph)
+        channels = [channel for channel in tuple(self._ticking) if not channel.closed]
+        with suppress(BridgeError):
+            links = (channel for channel in channels if isinstance(channel, SameTopic))
+            graph.living(node for link in links for node in link.nodes(graph))
+        for channel in channels:
+            channel.tick(graph)
 
     def _look_at_master(self) -> None:
         node, health = self._node, self._master_health
@@ -481,8 +485,12 @@ class Ros1Bridge(Bridge):
             return
         # Each node is asked once, whatever is lost of it: one that hangs would hold up all others.
         graph = Graph(self._node)
+        places = [*(key[1:] for key in keys), *(("services", channel.name) for channel in served)]
         try:
             state = graph.state  # after the list of ours: all of these are registered
+            graph.living(
+                node for kind, name in places for node in getattr(state, kind).get(name, ())
+            )
         except BridgeError:
             return
         for channel in served:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -31,6 +31,7 @@ from uoarm_ros1._types import framed_writer, reader
 _WAIT_SECONDS = 0.2
 _LOOK_SECONDS = 0.005
 _SHARED_SECONDS = 0.2
+_LATELY_SECONDS = 1.0
 
 
 @frozen
@@ -278,12 +279,14 @@ class _Publishing:
     def _expected(self) -> set[str]:
         """Return the nodes that are to connect."""
         node, topic = self.place.node, self.place.topic
-        expected = set(node.own_callers(topic))
-        graph = Graph(node)
-        for name in graph.state.subscribers.get(topic, ()):
-            if name != node.name and (name in self.publication.callers or graph.is_alive(name)):
-                expected.add(name)
-        return expected
+        callers = set(self.publication.callers)
+        graph = Graph(node, time.monotonic() - _LATELY_SECONDS)
+        names = graph.state.subscribers.get(topic, ())
+        if len(names) != self.publication.registered:
+            graph = Graph(node)
+            names = graph.state.subscribers.get(topic, ())
+        others = set(names) - {node.name}
+        return {*node.own_callers(topic), *(others & callers), *graph.living(others - callers)}
 
 
 def _are_there(expected: set[str], callers: list[str]) -> bool:
@@ -390,19 +393,25 @@ class SameTopic(Channel):
             self._is_lost = True
             self._source.report(self, Health.LOST, cause)
 
+    def nodes(self, graph: Graph) -> list[str]:
+        """Return the nodes of which some must live."""
+        return [node for _, nodes in self._required(graph) for node in nodes]
+
     def _missing(self, graph: Graph) -> str:
-        topic = self._source.topic
         try:
-            state = graph.state
+            for what, nodes in self._required(graph):
+                if not graph.living(nodes):
+                    return f"no node that lives {what} {self._source.topic}"
         except BridgeError:
-            return ""  # of the master's absence it says nothing
-        for place, nodes, what in (
-            (self._source, state.publishers, "publishes"),
-            (self._sink, state.subscribers, "subscribes to"),
-        ):
-            if place.port.peer_required and not any(map(graph.is_alive, nodes.get(topic, ()))):
-                return f"no node that lives {what} {topic}"
+            pass  # of the master's absence it says nothing
         return ""
+
+    def _required(self, graph: Graph) -> Iterator[tuple[str, tuple[str, ...]]]:
+        topic = self._source.topic
+        if self._source.port.peer_required:
+            yield "publishes", graph.state.publishers.get(topic, ())
+        if self._sink.port.peer_required:
+            yield "subscribes to", graph.state.subscribers.get(topic, ())
 
     def _close(self) -> None:
         """Nothing was opened."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
 from uoarm.bridge import Description, Discovered
-from uoarm.errors import BridgeError
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Role
 from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
@@ -17,6 +18,7 @@ from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, read_
 from uoarm_ros1._tcpros import ProtocolError
 
 _HEADER_SECONDS = 2.0
+_AT_ONCE = 32
 
 _EVERYWHERE = frozenset({"/rosout", "/rosout_agg", "/clock"})
 _OF_EVERY_NODE = ("/get_loggers", "/set_logger_level", "/tf2_frames")
@@ -79,6 +81,22 @@ class Graph:
             self._alive[name] = name == node.name or node.answers(self.address(name))
         return self._alive[name]
 
+    def living(self, names: Iterable[str]) -> list[str]:
+        """Return those of some nodes that answer; one that hangs holds up no other's answer.
+
+        Raises:
+            BridgeError: this process is ending.
+        """
+        wanted = dict.fromkeys(names)
+        unknown = [name for name in wanted if name not in self._alive]
+        if len(unknown) > 1:
+            try:
+                with ThreadPoolExecutor(_AT_ONCE, "uoarm-ros1-ask") as pool:
+                    tuple(pool.map(self.is_alive, unknown))
+            except RuntimeError as error:  # no thread can begin any more
+                raise BridgeError("this process is ending", FailureReason.CLOSED) from error
+        return [name for name in wanted if self.is_alive(name)]
+
     def header(self, name: str, topic: str, kind: str) -> PublisherHeader | str:
         """Return what a node says of a topic that it publishes, or why it does not."""
         key = (name, topic, kind)
@@ -120,8 +138,7 @@ def discovered(
                 ports[name].append((Role.SERVICE, service, ""))
     return tuple(
         _component(bridge, name, sorted(ports[name], key=lambda port: port[1]), describe, graph)
-        for name in sorted(ports)
-        if name != node.name and graph.is_alive(name)
+        for name in graph.living(sorted(ports.keys() - {node.name}))
     )
 
 

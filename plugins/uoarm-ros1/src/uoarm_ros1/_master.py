@@ -285,15 +285,18 @@ class Master:
         """Return the address of a node's API."""
         return str(self.call("lookupNode", node))
 
-    def register_publisher(self, topic: str, kind: str) -> None:
-        """Say that this node publishes a topic."""
-        self.call("registerPublisher", topic, kind, self._own)
+    def register_publisher(self, topic: str, kind: str) -> tuple[str, ...]:
+        """Say that this node publishes a topic; returns the addresses of who subscribes to it."""
+        return self._register("registerPublisher", topic, kind)
 
     def register_subscriber(self, topic: str, kind: str) -> tuple[str, ...]:
         """Say that this node subscribes to a topic; returns the addresses of who publishes it."""
-        value = self.call("registerSubscriber", topic, kind or "*", self._own)
+        return self._register("registerSubscriber", topic, kind or "*")
+
+    def _register(self, method: str, topic: str, kind: str) -> tuple[str, ...]:
+        value = self.call(method, topic, kind, self._own)
         if not isinstance(value, list) or not all(isinstance(uri, str) for uri in value):
-            raise self._wrong("registerSubscriber")
+            raise self._wrong(method)
         return tuple(value)
 
     def unregister(self, kind: str, name: str) -> None:

@@ -135,11 +135,12 @@ class Node:
                     text = f"topic {topic} is published here as {made.record.name} already"
                     raise BridgeError(text, FailureReason.REFUSED)
                 made.latch = max(made.latch, more.get("latch", 0))
+                made.registered = None  # of the first that opened it
                 self._publications[topic] = (made, users + 1)
                 return made
         try:
             call = partial(self.master.register_publisher, topic, record.name)
-            self._register("publisher", topic, call)
+            made.registered = len(self._register("publisher", topic, call))
         except BaseException:
             self.withdraw(made)
             raise

@@ -136,8 +136,8 @@ class Ros1Options(PeerOptions):
     queue: int = option(
         100,
         {"type": "integer", "minimum": 1, "maximum": 100_000},
-        "of an input: messages that may wait for a subscriber; then the oldest are dropped "
-        "and counted",
+        "of an input: messages that may wait for a subscriber, four `max_octets` in all; "
+        "the oldest are dropped and counted",
     )
     nodelay: bool = option(
         True,

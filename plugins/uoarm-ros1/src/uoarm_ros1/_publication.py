@@ -155,6 +155,7 @@ class TopicPublication:
         limits: messages, and octets, that may wait for one subscriber.
 
     Attributes:
+        registered: how many subscribers the master knew as it was registered; None: not asked.
         watchers: called, in the loop's thread, with what has happened, and whether it is that a
             node was refused; else one has come or gone.
     """
@@ -178,6 +179,7 @@ class TopicPublication:
         self._latched: deque[bytes | bytearray] = deque()
         self._lost = 0
         self.sent = 0
+        self.registered: int | None = None
         self.watchers: tuple[Callable[[str, bool], None], ...] = ()
 
     @property

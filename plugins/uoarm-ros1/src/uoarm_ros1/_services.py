@@ -259,7 +259,7 @@ class ServedService(Channel):
         other = ""
         nodes = graph.state.services.get(self.name, ())
         if self._node.name not in nodes:
-            if any(map(graph.is_alive, nodes)):
+            if graph.living(nodes):
                 other = ", ".join(nodes)
             else:
                 with suppress(BridgeError):  # the next look tries again
