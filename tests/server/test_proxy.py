@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import shutil
 import socket
@@ -12,8 +13,10 @@ from pathlib import Path
 import pytest
 from tests.server.conftest import Serve
 from tests.server.talk import Talk
+from websockets.exceptions import InvalidHandshake
 from websockets.typing import Origin
 
+from uoarm.client import connect
 from uoarm.testing import free_port, patience, wait
 
 PAGE = Path(__file__).parents[2] / "docs" / "deploy.md"
@@ -31,6 +34,11 @@ http {{
     }}
 }}
 """
+
+
+async def _connect(url: str) -> None:
+    async with connect(url, timeout=patience()):
+        pass
 
 
 @pytest.mark.needs("nginx")
@@ -58,6 +66,8 @@ def test_a_page_and_its_websocket_work_below_a_path_of_a_proxy(
         urllib.request.urlopen(request, timeout=patience()).close()
         with Talk(f"ws://{place}/robot/", origin=Origin(f"http://{place}")) as client:
             assert client.ask("List")
+        with pytest.raises(InvalidHandshake, match=f"it redirects: give ws://{place}/robot/ as"):
+            asyncio.run(_connect(f"ws://{place}/robot"))
     finally:
         nginx.terminate()
         nginx.wait()

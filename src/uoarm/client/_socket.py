@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import secrets
 import socket
 import ssl
@@ -15,7 +16,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from typing_extensions import Self
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed, ConnectionClosedOK
+from websockets.exceptions import (
+    ConnectionClosed,
+    ConnectionClosedOK,
+    InvalidHandshake,
+    InvalidURI,
+)
 from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.protocol import Event, State
 from websockets.typing import Subprotocol
@@ -96,19 +102,26 @@ class ClientSocket(ClientConnection):
         """
         # None would mean that there is to be no TLS.
         secured: Any = {} if tls is None else {"ssl": tls}
-        opened = await connect(
-            url,
-            create_connection=cls,
-            subprotocols=[Subprotocol(form.subprotocol)],
-            additional_headers=headers,
-            max_size=largest,
-            compression="deflate" if form.text else None,
-            open_timeout=timeout,
-            ping_interval=silence / 3,
-            ping_timeout=silence * 2 / 3,
-            close_timeout=_GOODBYE_SECONDS,
-            **secured,
-        )
+        try:
+            opened = await connect(
+                url,
+                create_connection=cls,
+                subprotocols=[Subprotocol(form.subprotocol)],
+                additional_headers=headers,
+                max_size=largest,
+                compression="deflate" if form.text else None,
+                open_timeout=timeout,
+                ping_interval=silence / 3,
+                ping_timeout=silence * 2 / 3,
+                close_timeout=_GOODBYE_SECONDS,
+                **secured,
+            )
+        except InvalidURI as error:
+            if error.uri == url:
+                raise
+            # Of a proxy, as for a path without the slash at its end: it knows of HTTP only.
+            wanted = re.sub("^http", "ws", error.uri)
+            raise InvalidHandshake(f"it redirects: give {wanted} as the address") from error
         assert isinstance(opened, cls), "as it was asked to make"
         return opened
 

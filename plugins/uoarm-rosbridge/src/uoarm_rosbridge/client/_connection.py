@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import ssl
 import threading
 import time
@@ -13,7 +14,7 @@ from itertools import count
 from typing import Any
 
 from attrs import define, field
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI
 from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 
@@ -572,11 +573,23 @@ def json_text(value: object) -> str:
     return text
 
 
+def _location(error: Exception) -> str:
+    """Return where a proxy redirects to, which knows of HTTP only; empty: it does not.
+
+    Some versions of the library follow it, and say that this is no address of a WebSocket.
+    """
+    if isinstance(error, InvalidURI):
+        return error.uri
+    return error.response.headers.get("Location", "") if isinstance(error, InvalidStatus) else ""
+
+
 def _is_final(error: Exception) -> bool:
     return isinstance(error, InvalidStatus) and error.response.status_code in _FINAL
 
 
 def _cause_of(error: Exception) -> str:
+    if location := _location(error):
+        return f"it redirects: give {re.sub('^http', 'ws', location)} as the address"
     if isinstance(error, InvalidStatus):
         status = error.response.status_code
         hint = ": is the token right?" if status in _FINAL else ""
