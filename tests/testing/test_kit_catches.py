@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import Phase, settings
+from tests.processes import run_python
 from tests.testing import test_memory_conformance as memory
 from tests.testing.bad_bridges import BUGS, table
 from tests.testing.bad_endings import RULED_OUT
@@ -109,3 +110,37 @@ def test_the_sections_that_failures_name_are_on_the_page() -> None:
         if line.startswith("## ")
     }
     assert {"the-steps", "reporting-what-happens", "the-declaration"} <= headings
+
+
+SUITE = """
+import threading
+import pytest
+from tests.testing.test_memory_conformance import BridgeConformance, MemoryWorld
+
+class Raising(MemoryWorld):
+    def create(self, name, options):
+        made = super().create(name, options)
+        opens = made._open_source
+        def opened(*given):
+            threading.Thread(target=lambda: 1 // 0).start()
+            return opens(*given)
+        made._open_source = opened
+        return made
+
+class TestRaising(BridgeConformance):
+    kinds = ("byte",)
+
+    @pytest.fixture
+    def world(self):
+        return Raising()
+"""
+
+
+def test_a_thread_that_ends_by_what_it_raises_is_a_failure(tmp_path: Path) -> None:
+    (tmp_path / "pytest.ini").write_text("[pytest]\n")
+    (tmp_path / "test_raising.py").write_text(SUITE)
+    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "first_message_after_opening"]
+    done = run_python(*words, cwd=tmp_path, env={"PYTHONPATH": str(ROOT)})
+    assert done.returncode == 1, done.stdout
+    assert "PytestUnhandledThreadExceptionWarning" in done.stdout
+    assert "ZeroDivisionError" in done.stdout
