@@ -19,7 +19,8 @@ from tests.schema._hostile import HOSTILE
 from tests.structures import closed
 
 from uoarm._adapt import MappingError, _edge, adapt, check_edge, parse
-from uoarm._adapt._suggest import suggest
+from uoarm._adapt._suggest import flow, suggest
+from uoarm._support.yaml import read
 from uoarm.errors import MessageError
 from uoarm.model import Meaning, MessageStructure
 from uoarm.schema import CheckBudget, check
@@ -269,6 +270,27 @@ def test_no_map_is_offered_between_messages_of_different_names_or_fields(
 ) -> None:
     refused = check_edge(MessageStructure(producer), MessageStructure(consumer))
     assert not refused.reasons[0].suggestion
+
+
+WORDS = st.text(max_size=4) | st.sampled_from(
+    ["<<", "yes", "null", "~", "1e5", "\U0001f600", "\x85"]
+)
+VALUES = st.recursive(
+    WORDS
+    | st.integers()
+    | st.booleans()
+    | st.none()
+    | st.floats(allow_nan=False, allow_infinity=False),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(WORDS, inner, max_size=2),
+    max_leaves=4,
+)
+
+
+@given(st.dictionaries(WORDS, VALUES, min_size=1))
+def test_the_lines_of_a_map_read_back_as_what_was_tried(mapping: dict[str, Any]) -> None:
+    found = read(f"map: {flow(mapping)}")
+    assert not found.problems
+    assert found.value == {"map": mapping}
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -21,6 +20,7 @@ from uoarm._meaning import (
     missing_for_units,
     name_of_type,
 )
+from uoarm._support.yaml import write_flow
 from uoarm.model import Meaning, MeaningLevel, MessageStructure
 from uoarm.schema import CheckBudget, check
 
@@ -320,13 +320,13 @@ def flow(value: Any) -> str:
         return "{" + ", ".join(f"{_word(k)}: {flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ", ".join(flow(item) for item in value) + "]"
-    return _word(value) if isinstance(value, str) else json.dumps(value)
+    return _word(value) if isinstance(value, str) else write_flow(value)
 
 
 def _word(text: str) -> str:
     plain = text.replace("_", "a").replace(".", "a").isalnum() and text[0].isalpha()
     reserved = text.lower() in {"true", "false", "null"}
-    return text if plain and text.isascii() and not reserved else json.dumps(text)
+    return text if plain and text.isascii() and not reserved else write_flow(text)
 
 
 _MOST_FIELDS = 200

@@ -64,7 +64,7 @@ class _StopError(Exception):
 class _Frame:
     """One mapping or list that is being filled."""
 
-    __slots__ = ("anchor", "before", "key", "key_place", "path", "spot", "value")
+    __slots__ = ("anchor", "before", "is_merge", "key", "key_place", "path", "spot", "value")
 
     def __init__(
         self, value: Any, spot: NodePosition, path: Path, anchor: str, before: int
@@ -76,6 +76,7 @@ class _Frame:
         self.before = before
         self.key: str | None = None
         self.key_place: Position | None = None
+        self.is_merge = False
 
 
 def read_file(path: File, budget: ReadBudget = _ROBOT) -> Document:
@@ -198,6 +199,8 @@ class _Builder:
         key: str = event.value
         place = _place(event)
         frame.key, frame.key_place = key, place
+        is_plain = event.implicit[0] and event.tag is None
+        frame.is_merge = is_plain and key == "<<"
         if event.anchor:
             self._anchors[event.anchor] = (key, 1)
         if key in frame.value:
@@ -209,7 +212,7 @@ class _Builder:
                 f"the key {clip(key)} is given twice, first in line {line}",
                 path=(*frame.path, key),
             )
-        elif event.implicit[0] and event.tag is None:
+        elif is_plain:
             self._check_plain_key(key, place, frame.path)
 
     def _check_plain_key(self, key: str, place: Position, path: Path) -> None:
@@ -276,7 +279,7 @@ class _Builder:
         if isinstance(parts, dict):
             key = frame.key
             assert key is not None, "a value follows its key"
-            if key not in parts and key != "<<":
+            if key not in parts and not frame.is_merge:  # which was complained of
                 spot.key = frame.key_place
                 frame.value[key] = value
                 parts[key] = spot
