@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import builtins
 import sys
+import typing
 from dataclasses import dataclass
 from enum import Enum, IntEnum, IntFlag
 from types import ModuleType
@@ -141,6 +143,21 @@ def test_an_enumeration_of_numbers_or_texts_is_one(value: Any) -> None:
     check = make_check(MessageStructure(schema_of(kind)), ValidationMode.ALWAYS, "here")
     assert check is not None
     check(write(value))
+
+
+@pytest.mark.parametrize("name", ["list", "dict", "tuple", "List", "Dict", "Tuple"])
+def test_a_container_of_what_is_not_said_has_no_structure(name: str) -> None:
+    with pytest.raises(HintError, match="has no message structure"):
+        schema_of(getattr(typing, name, None) or getattr(builtins, name))
+    assert schema_of(tuple[()])["minItems"] == 0
+
+
+def test_a_generator_may_be_hinted_as_what_can_be_iterated() -> None:
+    assert talk.given("iterable_counts", 2) == [0, 1]
+    described = talk.describe("iterable_counts", Role.OUTPUT).message
+    assert described is not None
+    assert described.schema == {"type": "integer"}
+    assert talk.describe("bare_counts", Role.OUTPUT).message is None
 
 
 def test_a_literal_of_members_is_one_of_these() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator, Iterator
+import typing
+from collections.abc import AsyncIterator, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, Any, NamedTuple, TypedDict
@@ -244,3 +245,11 @@ class Adder:
     async def close(self) -> None:
         await asyncio.sleep(0)
         Started.cancelled.set()
+
+
+def iterable_counts() -> Iterable[int]:
+    yield from range(2)
+
+
+def bare_counts() -> typing.Iterator:  # type: ignore[type-arg]
+    yield from range(2)

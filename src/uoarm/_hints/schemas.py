@@ -7,6 +7,7 @@ import enum
 import operator
 import sys
 import types
+import typing
 from collections.abc import Iterable, Mapping
 from functools import reduce
 from typing import (
@@ -148,6 +149,8 @@ def _flags(kind: type[enum.Flag]) -> Mapping[str, object]:
 
 def _generic(hint: Any, depth: int) -> Mapping[str, object]:
     origin, arguments = get_origin(hint), get_args(hint)
+    if not arguments and (origin is not tuple or hint is typing.Tuple):  # noqa: UP006 - bare
+        origin = None  # List and the like, which do not say what is in them
     if origin in {Required, NotRequired}:
         return schema_of(arguments[0], depth)
     if origin is Annotated:

@@ -7,7 +7,16 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import (
+    AsyncIterable,
+    AsyncIterator,
+    Callable,
+    Hashable,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from enum import Enum
 from types import UnionType
 from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -225,9 +234,8 @@ class Target:
         if part in {"input", "request"}:
             name = self.message_parameter(endpoint)
             return f"give {name!r} of {self.name} a type hint, such as `{name}: float`"
-        generates = inspect.isgeneratorfunction(method) or inspect.isasyncgenfunction(method)
         kind = "AsyncIterator" if inspect.isasyncgenfunction(method) else "Iterator"
-        returned = f"{kind}[float]" if generates else "float"
+        returned = f"{kind}[float]" if _generates(method) else "float"
         return f"give {self.name} a type hint of what it returns, such as `-> {returned}`"
 
     def port(self, endpoint: Endpoint) -> TargetPort:
@@ -308,7 +316,7 @@ class Target:
     def _hint(self, part: str, endpoint: Endpoint, hints: Mapping[str, Any]) -> Any:
         if part in {"input", "request"}:
             return hints.get(self.message_parameter(endpoint), _NOTHING)
-        return _return_hint(hints, endpoint.role)
+        return _return_hint(hints, endpoint.role, self.method(endpoint))
 
     def message_parameter(self, endpoint: Endpoint) -> str:
         """Return the name of the parameter that takes the message.
@@ -435,7 +443,7 @@ class TargetPort:
         """
         target, role = self._target, self._endpoint.role
         method = target.method(self._endpoint)
-        hint = _NOTHING if method is None else _return_hint(target.hints(method), role)
+        hint = _NOTHING if method is None else _return_hint(target.hints(method), role, method)
         return writer(hint, target.name)
 
     def waits(self, handler: Callable[..., Any]) -> AsyncKind:
@@ -512,15 +520,20 @@ def _is_open(hint: Any) -> bool:
     return is_container and any(map(_is_open, get_args(hint)))
 
 
-def _return_hint(hints: Mapping[str, Any], role: Role) -> Any:
+def _generates(method: Any) -> bool:
+    return inspect.isgeneratorfunction(method) or inspect.isasyncgenfunction(method)
+
+
+def _return_hint(hints: Mapping[str, Any], role: Role, method: Any) -> Any:
     """Return the hint of one message: of what a generator yields, without `Emit`.
 
     None is silence, and no message, but for a service, which always replies.
     """
     hint = hints.get("return", _NOTHING)
     origin = get_origin(hint)
-    if inspect.isclass(origin) and issubclass(origin, Iterator | AsyncIterator):
-        hint = get_args(hint)[0]
+    is_iterator = inspect.isclass(origin) and issubclass(origin, Iterator | AsyncIterator)
+    if is_iterator or (origin in {Iterable, AsyncIterable} and _generates(method)):
+        hint = (*get_args(hint), _NOTHING)[0]
     others = {Emit} if role is Role.SERVICE else {Emit, type(None)}
     if get_origin(hint) in {Union, UnionType}:
         messages = tuple(argument for argument in get_args(hint) if argument not in others)
