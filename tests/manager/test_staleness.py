@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -291,3 +294,36 @@ def test_what_was_stale_is_forgiven_in_the_end(chain: Chain) -> None:
     assert chain.robot.resolve("camera").provider.component.name == "spare"
     chain.clock.advance(301)
     assert chain.robot.resolve("camera").provider.component.name == "best"
+
+
+class CountedEdge:
+    """An edge between two components that counts how often it is looked at."""
+
+    looks = 0
+
+    def __init__(self, producer: object, consumer: object) -> None:
+        self.producer, self._consumer = producer, consumer
+        self.edge, self.route = SimpleNamespace(output="default"), None
+
+    @property
+    def consumer(self) -> object:
+        CountedEdge.looks += 1
+        return self._consumer
+
+
+class Silent:
+    """A component of whose output something is expected, and to which nothing is attached."""
+
+    def __init__(self) -> None:
+        output = SimpleNamespace(name="default", expect=Expectation(1.0, 3.0))
+        self.component = SimpleNamespace(outputs=(output,))
+        self.outlets = {"default": SimpleNamespace(routes=())}
+
+
+def test_a_look_at_many_looks_at_each_edge_once() -> None:
+    """It comes ten times a second, in a manager that has nothing else to do."""
+    components = [Silent() for _ in range(200)]
+    edges = [CountedEdge(*pair) for pair in itertools.pairwise(components)]
+    given: Any = (lambda: components, lambda: edges, [].append, ManualClock())
+    StalenessWatch(*given).look()
+    assert CountedEdge.looks == len(edges)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeAlias
 
 from attrs import define, field
@@ -86,23 +86,28 @@ class StalenessWatch:
         """Look once."""
         now = self._clock()
         before, self._windows = self._windows, {}
-        fed: dict[LiveComponent, set[Route]] = {}
-        edges = tuple(self._edges())
-        for joined in edges:
-            if joined.route is not None:
-                fed.setdefault(joined.consumer, set()).add(joined.route)
+        edges: dict[LiveComponent, list[LiveEdge]] = {}
+        for joined in self._edges():
+            edges.setdefault(joined.consumer, []).append(joined)
         for (live, output), expect in self._expectations(edges).items():
             routes = live.outlets[output].routes
             if not routes:
                 continue
-            feeds = frozenset(fed.get(live, ()))
+            routed = (joined.route for joined in edges.get(live, ()))
+            feeds = frozenset(route for route in routed if route is not None)
             window = before.get((live, output))
             if window is None or window.route not in routes or window.feeds != feeds:
                 window = _Window(routes[0], feeds, now)
             self._windows[live, output] = self._judge(live, output, expect, window, now)
 
-    def _expectations(self, edges: tuple[LiveEdge, ...]) -> Mapping[_Output, Expectation]:
-        """Return what is expected of each output, declared or by what it feeds."""
+    def _expectations(
+        self, edges: Mapping[LiveComponent, Sequence[LiveEdge]]
+    ) -> Mapping[_Output, Expectation]:
+        """Return what is expected of each output, declared or by what it feeds.
+
+        Args:
+            edges: by what they feed: of hundreds, each look would take their number squared.
+        """
         found = {
             (live, output.name): output.expect
             for live in self._components()
@@ -112,9 +117,9 @@ class StalenessWatch:
         waiting = list(found)
         for live, output in waiting:
             patience = found[live, output].patience
-            for joined in edges:
+            for joined in edges.get(live, ()):
                 key = joined.producer, joined.edge.output
-                if joined.consumer is live and key not in found:
+                if key not in found:
                     found[key] = Expectation(1 / patience, patience)
                     waiting.append(key)
         return found
