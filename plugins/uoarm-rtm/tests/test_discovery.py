@@ -6,14 +6,14 @@ import re
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from endpoints import ANSWERS, checked, endpoint
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
-from uoarm_rtm import _discovery, _orb
+from uoarm_rtm import _discovery, _naming, _orb
 from uoarm_rtm._discovery import Directory, DirectoryEntry, DirectoryMonitor
 from uoarm_rtm._naming import Name, NamingService, corbaloc
 from uoarm_rtm._options import RtmEndpointOptions
@@ -319,6 +319,36 @@ def test_wrong_options_of_an_endpoint_are_named(options: dict[str, Any], words: 
 def test_wrong_addresses_are_named(bridge: Bridge, address: tuple[str, ...]) -> None:
     with pytest.raises(BridgeError, match="input 'default' of thing"):
         bridge.describe(endpoint(Role.INPUT, *address))
+
+
+class EndlessContext:
+    """A context of a naming service that makes new ones as it is asked, and holds nothing else."""
+
+    made = 0
+
+    def __init__(self) -> None:
+        EndlessContext.made += 1
+
+    def list(self, most: int) -> tuple[list[Any], None]:
+        import CosNaming
+
+        name = CosNaming.NameComponent
+        kind = CosNaming.ncontext
+        return [CosNaming.Binding([name(str(n), "")], kind) for n in range(min(3, most))], None
+
+    def resolve(self, _: object) -> EndlessContext:
+        return EndlessContext()
+
+    def _is_equivalent(self, other: object) -> bool:
+        return self is other
+
+
+def test_contexts_that_are_always_new_come_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    service = NamingService(cast("Orb", None), "127.0.0.1:1", patience())
+    monkeypatch.setattr(NamingService, "_root", lambda _: EndlessContext())
+    monkeypatch.setattr(_naming, "narrowed", lambda reference, *_: reference)
+    assert service.names() == []
+    assert EndlessContext.made < 5_000
 
 
 def test_the_plugin_imports_no_middleware() -> None:

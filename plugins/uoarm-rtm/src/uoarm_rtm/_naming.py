@@ -21,6 +21,7 @@ from uoarm_rtm._orb import MOST_CONNECTIONS, Orb, corba_errors, limit, narrowed
 
 _BATCH = 200
 _MOST_NAMES = 10_000
+_MOST_CONTEXTS = 1_000
 _DEEPEST = 16
 _HOST = re.compile(r"[\w.\-]+(:\d{1,5})?|\[[0-9a-fA-F:]+\](:\d{1,5})?")
 
@@ -178,7 +179,9 @@ class NamingService:
     def _walk(
         self, context: Any, path: tuple[Any, ...], found: list[Name], seen: list[Any]
     ) -> None:
-        if len(path) >= _DEEPEST or any(known._is_equivalent(context) for known in seen):
+        # Contexts that contain no name, and always new ones, would not end by the number of names.
+        is_over = len(path) >= _DEEPEST or len(seen) >= _MOST_CONTEXTS
+        if is_over or any(known._is_equivalent(context) for known in seen):
             return
         seen.append(context)
         for binding in self._bindings(context):
