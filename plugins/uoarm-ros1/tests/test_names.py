@@ -205,9 +205,9 @@ def test_what_is_taken_back_while_it_is_registered_does_not_stay(
         node: Any = cast("Any", bridge)._node
         register = node.master.register_publisher
 
-        def late(*arguments: Any) -> None:
+        def late(*arguments: Any) -> Any:
             bridge.close()
-            register(*arguments)
+            return register(*arguments)
 
         monkeypatch.setattr(node.master, "register_publisher", late)
         rosout = Rosout(node, cast("Any", bridge)._types)
