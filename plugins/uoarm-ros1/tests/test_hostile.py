@@ -364,6 +364,15 @@ def test_calls_that_come_in_one_piece_are_answered_within_what_may_wait() -> Non
     assert len(answered) < 100
 
 
+def test_a_call_of_many_values_holds_up_no_channel(master: Master) -> None:
+    with bridge_to(master) as bridge:
+        node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
+        with pytest.raises(BridgeError, match="XML of more than 20,000 values"):
+            call_api(node.uri, "paramUpdate", "/t", "/x", [0] * 50_000, seconds=patience())
+        description = "<robot/>" * 200_000
+        call_api(node.uri, "paramUpdate", "/t", "/x", description, seconds=patience())
+
+
 def test_requests_that_do_not_end_share_one_room(
     master: Master, monkeypatch: pytest.MonkeyPatch
 ) -> None:

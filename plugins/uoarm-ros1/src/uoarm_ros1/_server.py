@@ -16,6 +16,7 @@ from itertools import count
 from typing import Any
 
 from uoarm.bridge import TurnCounter, Turns
+from uoarm.model import Budget
 from uoarm_ros1._tcpros import ProtocolError, TcprosReader, decode_header
 from uoarm_ros1._xmlrpc import Fault, HttpReader, decode_call, encode_reply, http_reply
 
@@ -201,7 +202,8 @@ _MOST_STRANGERS = 256
 _ARRIVAL_SECONDS = 5.0
 _IDLE_SECONDS = 600.0
 _MAX_HEADER_OCTETS = 1 << 20
-_MAX_CALL_OCTETS = 8 << 20
+# A call may hold the description of a robot, a text; the loop waits while its values are read.
+_CALL_BUDGET = Budget(octets=8 << 20, elements=20_000, depth=64)
 _MAX_UNREAD_OCTETS = 16 << 20
 _MOST_HELD_OCTETS = 32 << 20
 _CHUNK = 65_536
@@ -360,7 +362,7 @@ class _Api(_UnidentifiedConnection):
     ) -> None:
         # A master keeps its connections for the next call; one that is idle too long is closed.
         super().__init__(connection, loop, unidentified, _IDLE_SECONDS)
-        self._reader = HttpReader(_MAX_CALL_OCTETS)
+        self._reader = HttpReader(_CALL_BUDGET.octets)
         self._answer = answer
         self._out = bytearray()
         self._ends = False
@@ -375,7 +377,7 @@ class _Api(_UnidentifiedConnection):
         for message in messages:
             self._calls += 1
             try:
-                method, arguments = decode_call(message.body)
+                method, arguments = decode_call(message.body, _CALL_BUDGET)
                 body = encode_reply(self._answer(method, arguments))
             except (ProtocolError, ValueError) as error:
                 body = encode_reply(Fault(str(error)))
