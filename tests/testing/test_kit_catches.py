@@ -19,7 +19,7 @@ from tests.testing.bad_worlds import BadWorld, Bug
 from uoarm.errors import UoarmError
 from uoarm.testing import patience
 from uoarm.testing._waiting import default_limits
-from uoarm.testing.conformance._world import PAGE, rule_of
+from uoarm.testing.conformance._world import PAGE, _naming, rule_of
 
 ROOT = Path(__file__).parents[2]
 NOTHING_COMES = 0.3  # seconds after which nothing comes of most bugs
@@ -110,6 +110,14 @@ def test_the_sections_that_failures_name_are_on_the_page() -> None:
         if line.startswith("## ")
     }
     assert {"the-steps", "reporting-what-happens", "the-declaration"} <= headings
+
+
+def test_what_is_no_exception_is_named_with_its_kind() -> None:
+    def test_a_rule() -> None:
+        raise SystemExit(3)
+
+    with pytest.raises(AssertionError, match=r"the rule is: a rule .*\nSystemExit: 3"):
+        _naming(test_a_rule, "the-steps")()
 
 
 SUITE = """

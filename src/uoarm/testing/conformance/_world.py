@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import pytest
 from attrs import frozen
 
+from uoarm._raised import text_of
 from uoarm.bridge import Bridge, Registry, Sink, Source
 from uoarm.errors import MessageError
 from uoarm.model import BridgeSpec, Endpoint, Message, MessageStructure, Schema
@@ -484,7 +485,9 @@ def _naming(test: Callable[..., None], section: str) -> Callable[..., None]:
             test(*given, **named)
         except (Exception, SystemExit, GeneratorExit, pytest.fail.Exception) as error:
             text = f"{_place(named)}: the rule is: {rule_of(test)} ({PAGE}#{section})"
-            raise AssertionError(f"{text}\n{error}") from error
+            ends = isinstance(error, SystemExit | GeneratorExit)  # whose own text is a number
+            said = text_of(error) if ends else error
+            raise AssertionError(f"{text}\n{said}") from error
 
     return run
 
