@@ -1,9 +1,9 @@
-"""Mutation testing with mutmut of the containment checker or of the engine of the control plane.
+"""Mutation testing with mutmut of the containment checker, of adapters, or of the engine.
 
 Which changes of the code do the tests notice?
 
-Usage: ``python -m bench.mutation [schema | control] [--sample 300] [--seed 0] [--module NAME ...]
-[--children 2]``. Works on a copy below the cache folder, so nothing in the working tree changes.
+Usage: ``python -m bench.mutation [schema | adapt | control] [--sample 300] [--seed 0]
+[--module NAME ...] [--children 2]``. Works on a copy below the cache folder: nothing here changes.
 Prints a table of killed and surviving mutants by module, and the survivors; without ``--sample``
 all are run.
 """
@@ -62,6 +62,7 @@ SUBJECTS = {
         ),
         "not sizes and not hostile",
     ),
+    "adapt": Subject("src/uoarm/_adapt", ("tests/adapt/test_*.py",), "not hostile"),
     "control": Subject(
         "src/uoarm/_control/engine",
         (

@@ -60,11 +60,32 @@ def test_an_array_of_numpy_gives_what_a_list_gives(
     make = adapt(parse({"a": rule}), producer, ANY).make
     listed = make({"a": values.tolist()})["a"]
     made = make({"a": values})["a"]
-    assert (made.tolist() if isinstance(made, np.ndarray) else made) == listed
+    shown = made.tolist() if isinstance(made, np.ndarray) else made
+    assert (shown, [*map(type, shown)]) == (listed, [*map(type, listed)])
     assert make({"a": list(values)})["a"] == listed  # numbers of numpy in a list
     emitted = adapt(parse({"a": rule}), producer, ANY).schema["properties"]["a"]["items"]
     low, high = emitted.get("minimum", -np.inf), emitted.get("maximum", np.inf)
     assert all(low <= number <= high for number in listed)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "rule", "expected"),
+    [
+        ({"minimum": -1, "maximum": 5}, {"scale": -2, "offset": 1}, {"minimum": -9, "maximum": 3}),
+        ({"minimum": 3}, {"scale": 2}, {"minimum": 6}),
+        ({"exclusiveMaximum": 3}, {"offset": 1}, {"maximum": 4}),
+        ({"maximum": 5.5}, {"clamp": [0, 9]}, {"minimum": 0, "maximum": 5}),
+        ({"minimum": 0.5}, {"clamp": [0, 9]}, {"minimum": 1, "maximum": 9}),
+        ({"minimum": 20}, {"clamp": [0, 9]}, {"minimum": 9, "maximum": 9}),
+        ({}, {"clamp": [0, 9]}, {"minimum": 0, "maximum": 9}),
+    ],
+)
+def test_bounds_are_changed_with_the_numbers(
+    numbers: dict[str, Any], rule: dict[str, Any], expected: dict[str, Any]
+) -> None:
+    few = {"type": "array", "items": {"type": "integer", **numbers}, "minItems": 1, "maxItems": 3}
+    made = adapt(parse({"a": {"from": "a", **rule}}), closed(a=few), ANY).schema
+    assert made["properties"]["a"] == {**few, "items": {"type": "integer", **expected}}
 
 
 OCTETS = {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}}
