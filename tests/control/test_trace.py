@@ -28,7 +28,13 @@ from uoarm._control.live import driver
 from uoarm._resolve import NoPlanError
 from uoarm.client import ServerError
 from uoarm.config import loads
-from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
+from uoarm.errors import (
+    BridgeError,
+    CommandRefusedError,
+    FailureReason,
+    ListenError,
+    UoarmError,
+)
 from uoarm.model import ConnectionState, FailoverPolicy, Health, Plan
 from uoarm.server.access._admission import RefusedError, WrongTokenError
 from uoarm.testing import MemoryBridge, wait
@@ -108,6 +114,7 @@ def test_a_log_of_events_replays_to_the_same_actions(
 MADE: Mapping[type[UoarmError], Callable[[str], UoarmError]] = {
     NoPlanError: lambda text: NoPlanError(text, (), is_unavailable=True),
     InputInUseError: lambda text: InputInUseError(text, "best"),
+    ListenError: lambda text: ListenError(text, 9080, PermissionError(13, "")),
     CommandRefusedError: lambda text: CommandRefusedError(text, "leased"),
     ServerError: lambda text: ServerError("busy", text),
     RefusedError: lambda text: RefusedError(HTTPStatus.NOT_FOUND, text),
