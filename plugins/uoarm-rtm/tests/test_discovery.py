@@ -6,7 +6,7 @@ import re
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from endpoints import ANSWERS, checked, endpoint
@@ -344,10 +344,13 @@ class EndlessContext:
 
 
 def test_contexts_that_are_always_new_come_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    service = NamingService(cast("Orb", None), "127.0.0.1:1", patience())
     monkeypatch.setattr(NamingService, "_root", lambda _: EndlessContext())
     monkeypatch.setattr(_naming, "narrowed", lambda reference, *_: reference)
-    assert service.names() == []
+    orb = Orb("127.0.0.1", call_seconds=patience())  # without one, no call begins
+    try:
+        assert NamingService(orb, "127.0.0.1:1", patience()).names() == []
+    finally:
+        orb.close()
     assert EndlessContext.made < 5_000
 
 
