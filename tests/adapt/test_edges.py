@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +13,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from tests.calls import calls_of
 from tests.processes import run_python
 from tests.schema._hostile import HOSTILE
 from tests.structures import closed
@@ -364,23 +364,11 @@ def test_a_hostile_structure_ends_with_a_clear_reason() -> None:
 
 def test_a_long_map_is_read_in_linear_time() -> None:
     def calls(count: int) -> int:
-        counted = 0
+        return calls_of(lambda: parse({f"f{n}.x": "a" for n in range(count)}))
 
-        def note(*_: object) -> None:
-            nonlocal counted
-            counted += 1
-
-        before = sys.getprofile()
-        sys.setprofile(note)
-        try:
-            entries = parse({f"f{n}.x": "a" for n in range(count)})
-        finally:
-            sys.setprofile(before)
-        assert len(entries) == count
-        return counted
-
-    calls(1)  # what is made once
-    assert calls(400) < 2.3 * calls(200)
+    once, few, many = map(calls, (1, 200, 400))
+    assert many < 2.3 * few
+    assert once < few
 
 
 @given(

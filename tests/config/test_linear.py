@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from tests.calls import calls_of
 
 from uoarm.bridge import Registry
 from uoarm.config import loads
@@ -108,21 +109,12 @@ SHAPES = {
 def calls(text: str) -> int:
     """Return how many functions were called and left again while a configuration was read."""
     types = Registry().types
-    counted = 0
 
-    def count(*_: object) -> None:
-        nonlocal counted
-        counted += 1
+    def read() -> None:
+        with suppress(ConfigurationError):
+            loads(text, types=types)
 
-    before = sys.getprofile()
-    sys.setprofile(count)
-    try:
-        loads(text, types=types)
-    except ConfigurationError:
-        pass
-    finally:
-        sys.setprofile(before)
-    return counted
+    return calls_of(read)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

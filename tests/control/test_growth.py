@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
 from functools import partial
 
 import pytest
+from tests.calls import calls_of
 from tests.control.world import Plans, World
 
 from uoarm import RobotManager
@@ -180,19 +180,11 @@ class Work:
 
     def of(self, what: Callable[[], object]) -> tuple[int, int]:
         """Return how many calls something takes, and how many octets at once."""
-        calls = 0
-
-        def count(*_: object) -> None:
-            nonlocal calls
-            calls += 1
-
         tracemalloc.start()
         before = tracemalloc.get_traced_memory()[0]
-        sys.setprofile(count)
         try:
-            what()
+            calls = calls_of(what)
         finally:
-            sys.setprofile(None)
             peak = tracemalloc.get_traced_memory()[1] - before
             tracemalloc.stop()
         return calls, peak

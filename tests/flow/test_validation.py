@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 import re
-import sys
 import time
 from array import array
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from tests.calls import calls_of
 
 from uoarm._dataplane import Route, make_check
 from uoarm._dataplane._compiled_check import judged
@@ -356,17 +357,7 @@ def test_whether_items_are_unique_costs_as_much_as_there_are(wrap: Callable[[int
     spent = []
     for count in (10, 100, 200):
         items = [*map(wrap, range(count - 1)), "mixed"]
-        calls = 0
-
-        def count_calls(*_: object) -> None:
-            nonlocal calls
-            calls += 1
-
-        before = sys.getprofile()
-        sys.setprofile(count_calls)
-        checker(items)
-        sys.setprofile(before)
-        spent.append(calls)
+        spent.append(calls_of(partial(checker, items)))
     assert spent[2] < 2.2 * spent[1]
     alike = [_key(wrap(number * (2**61 - 1))) for number in range(1000)]
     assert len(set(map(hash, alike))) > 900  # to Python all these numbers have one hash

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import math
-import sys
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.calls import calls_of
 
 from uoarm.model import OverflowPolicy, QueuePolicy
 from uoarm.server.streams._memory import ServerMemory
@@ -106,19 +106,12 @@ def test_a_message_for_a_slow_client_costs_the_same_beside_few_streams_and_many(
         for stream in streams * messages:
             outbox.put(stream, bytes(10))
         outbox.put(streams[0], bytes(10))
-        calls = 0
 
-        def count_calls(*_: object) -> None:
-            nonlocal calls
-            calls += 1
-
-        before = sys.getprofile()
-        sys.setprofile(count_calls)
-        for _ in range(10):
-            for stream in streams[:20]:
+        def put(outbox: Outbox = outbox, streams: list[Lane] = streams) -> None:
+            for stream in streams[:20] * 10:
                 outbox.put(stream, bytes(10))
-        sys.setprofile(before)
-        spent.append(calls)
+
+        spent.append(calls_of(put))
         assert outbox.dropped == 201
         for stream in streams:
             outbox.discard(stream)

@@ -176,11 +176,7 @@ class Driver:
         return generation() != self._process
 
     def require_own(self, what: str) -> None:
-        """Refuse in a forked child what only the process that made the manager can do.
-
-        Raises:
-            ConnectionClosedError: this is such a child.
-        """
+        """Refuse in a forked child, with ConnectionClosedError, what only its parent can do."""
         if self.is_foreign:
             text = f"{what} belongs to the process that made it, of which this is a child"
             raise ConnectionClosedError(f"{text}: make another one here")

@@ -573,22 +573,16 @@ def json_text(value: object) -> str:
     return text
 
 
-def _location(error: Exception) -> str:
-    """Return where a proxy redirects to, which knows of HTTP only; empty: it does not.
-
-    Some versions of the library follow it, and say that this is no address of a WebSocket.
-    """
-    if isinstance(error, InvalidURI):
-        return error.uri
-    return error.response.headers.get("Location", "") if isinstance(error, InvalidStatus) else ""
-
-
 def _is_final(error: Exception) -> bool:
     return isinstance(error, InvalidStatus) and error.response.status_code in _FINAL
 
 
 def _cause_of(error: Exception) -> str:
-    if location := _location(error):
+    # A proxy redirects to HTTP, which some versions of the library follow.
+    location = error.uri if isinstance(error, InvalidURI) else ""
+    if isinstance(error, InvalidStatus):
+        location = error.response.headers.get("Location", "")
+    if location:
         return f"it redirects: give {re.sub('^http', 'ws', location)} as the address"
     if isinstance(error, InvalidStatus):
         status = error.response.status_code
