@@ -262,12 +262,20 @@ class EndingRules:
                 with line(world, bridge, kind) as through:
                     through.carries(through.example())
 
+            def check(timeout: float) -> None:
+                snapshot = ResourceSnapshot()
+                for _ in range(_CYCLES):
+                    cycle()
+                snapshot.check(timeout)
+
             for _ in range(_CYCLES):  # until pools of threads, also those of the world, are full
                 cycle()
-            snapshot = ResourceSnapshot()
-            for _ in range(_CYCLES):
-                cycle()
-            snapshot.check(world.patience)
+            # What lasts may get a thread of its own meanwhile, as a flow does whose consumer was
+            # slow for a moment: once. What is left of each cycle is there again.
+            try:
+                check(world.patience / 8)
+            except AssertionError:
+                check(world.patience)
 
     def test_no_thread_and_no_descriptor_stays_behind(self, world: World) -> None:
         def cycle() -> None:
