@@ -10,8 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias
 
-from uoarm._adapt._mapping import Clamp, Scale, Structure, UnfitError, kind_of, write_path
-from uoarm._adapt._mapping import Path as FieldPath
+from uoarm._adapt._mapping import Clamp, Path, Scale, Structure, UnfitError, kind_of, write_path
 from uoarm._meaning import INHERITED, SCALED
 from uoarm.errors import MessageError
 
@@ -20,7 +19,7 @@ _MAX_LEVELS = 12
 _WIDTHS = (16, 32, 64)
 
 
-def scaled(scale: Scale, source: Structure, schema: Any, path: FieldPath) -> tuple[Any, Maker]:
+def scaled(scale: Scale, source: Structure, schema: Any, path: Path) -> tuple[Any, Maker]:
     """Return the schema of scaled numbers, or arrays of them, and what makes them.
 
     Raises:
@@ -43,7 +42,7 @@ def scaled(scale: Scale, source: Structure, schema: Any, path: FieldPath) -> tup
     return _of_numbers(change, source, schema, path, "scale and offset need")
 
 
-def clamped(clamp: Clamp, source: Structure, schema: Any, path: FieldPath) -> tuple[Any, Maker]:
+def clamped(clamp: Clamp, source: Structure, schema: Any, path: Path) -> tuple[Any, Maker]:
     """Return the schema of clamped numbers, or arrays of them, and what makes them.
 
     Raises:
@@ -71,7 +70,7 @@ _Change: TypeAlias = Callable[[Mapping[str, Any]], tuple[Any, Maker, Maker]]
 
 
 def _of_numbers(
-    change: _Change, source: Structure, schema: Any, path: FieldPath, needs: str
+    change: _Change, source: Structure, schema: Any, path: Path, needs: str
 ) -> tuple[Any, Maker]:
     """Change the numbers of a field, which may be in arrays within arrays."""
     where = write_path(path)
