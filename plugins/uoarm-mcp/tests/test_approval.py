@@ -183,6 +183,8 @@ def test_stop_stops_what_the_agent_moved(agents: Agents) -> None:
     facts = agents.facts("send_drive", {"speed": 0.5})
     agents.approve(facts["handle"])
     agents.facts("send_drive", {"speed": 0.5, "x-approval": facts["handle"]})
+    # A command that waits in the queue still is never sent, and then nothing is to be stopped.
+    wait(lambda: script.came == [{"speed": 0.5}], "it moves")
     assert agents.facts("stop")["stopped"] == ["drive.default"]
     wait(lambda: script.came[-1:] == [{"speed": 0.0}], "it is stopped")
 
@@ -195,6 +197,7 @@ def test_stop_stops_an_action_that_cannot_be_cancelled(agents: Agents, robot: Ro
     facts = agents.facts("press", {"value": 99})
     agents.approve(facts["handle"])
     agents.facts("press", {"value": 99, "x-approval": facts["handle"]})
+    wait(lambda: script.came == [{"value": 99}], "it moves")
     assert agents.facts("stop") == {"stopped": ["press.goal"], "cancelled": []}
     wait(lambda: script.came == [{"value": 99}, {"value": 0}], "it is stopped")
 
