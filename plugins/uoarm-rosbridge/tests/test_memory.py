@@ -63,13 +63,17 @@ def test_a_listener_s_type_binds_no_publisher(enter: Enter) -> None:
 
 
 def test_a_latched_message_goes_with_the_client_that_published_it(enter: Enter) -> None:
-    one, other, late = enter(), enter(), enter()
+    one, other, early, late = enter(), enter(), enter(), enter()
+    early.send(op="subscribe", topic="/map")
+    early.call("/rosapi/get_time", {})
     for publisher in (one, other):
         publisher.send(op="advertise", topic="/map", type="a/Map", latch=True)
         publisher.call("/rosapi/get_time", {})
     one.send(op="publish", topic="/map", msg={"data": 1})
     one.send(op="unadvertise", topic="/map")
     one.call("/rosapi/get_time", {})
+    # It waited for its type, and its publisher leaves in the same step of the loop.
+    assert early.messages(1) == [{"data": 1}]
     late.send(op="subscribe", topic="/map")
     late.call("/rosapi/get_time", {})
     other.send(op="publish", topic="/map", msg={"data": 2})
