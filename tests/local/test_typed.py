@@ -282,7 +282,7 @@ def test_a_class_with_named_inputs_and_outputs_needs_no_call() -> None:
 def test_a_class_that_cannot_be_called_has_no_default_input() -> None:
     with pytest.raises(BridgeError, match="no method '__call__' for the port 'default'") as caught:
         talk.describe("Named", Role.INPUT)
-    assert caught.value.reason is FailureReason.NOT_FOUND
+    assert caught.value.reason is FailureReason.BAD_ENDPOINT
 
 
 @pytest.mark.parametrize("numbers", ["2 ** 20", "0.5"])

@@ -200,11 +200,14 @@ class StructureCache:
             if name == "request" or name.startswith("input."):
                 found[name] = description.limited(found[name])
 
+        fed = {port.endpoint.address for port in component.inputs}
         for role, ports in (("input", component.inputs), ("output", component.outputs)):
             for port in ports:
                 description = self._describe(port.endpoint)
                 if description.note:
                     warnings.append(f"{component.name}.{role}.{port.name}: {description.note}")
+                if wrong := description.unfed(port.endpoint.address, fed):
+                    raise BridgeError(wrong, FailureReason.BAD_ENDPOINT)
                 settle(f"{role}.{port.name}", "message", description, port.declared)
         if component.service is not None:
             service = component.service

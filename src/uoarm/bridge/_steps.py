@@ -7,7 +7,7 @@ where its capabilities say so, must override `_discover`, `_call`, `_serve`, `_l
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import Any
 
 from attrs import evolve, field, frozen
@@ -34,6 +34,7 @@ class Description:
         managers: identities of the managers through which its messages pass, the nearest first.
         limits: keywords that hold of whatever is sent there, also where the configuration declares
             another structure: `x-max-json`, `x-max-octets` and `x-nonfinite: false`.
+        needs_input: whether an output emits only for what an input with the same address takes.
     """
 
     message: MessageStructure | None = None
@@ -43,6 +44,16 @@ class Description:
     note: str = ""
     limits: Mapping[str, object] = field(factory=dict, hash=False)
     managers: tuple[str, ...] = ()
+    needs_input: bool = False
+
+    def unfed(self, address: tuple[str, ...], inputs: Container[tuple[str, ...]]) -> str:
+        """Return why an output would never emit, "" where it may; of the inputs' addresses."""
+        if not self.needs_input or address in inputs:
+            return ""
+        return (
+            f"{', '.join(address)} emits only for the messages that it takes, and the component "
+            f"has no input there: give it an `input` with the same `endpoint`"
+        )
 
     def limited(self, structure: MessageStructure) -> MessageStructure:
         """Return a structure of what is sent there, with the limits that hold of it."""

@@ -108,8 +108,7 @@ class PluginChecker:
                 known = kind.value_of(written, folder_of(self._file))
                 wrong = foreign(self._wrong, kind, address, given, known)
                 if not wrong:
-                    found = foreign(list, self._without_structure(kind, component, known))
-                    self._undescribed.extend(found)
+                    yield from foreign(self._port_problems, kind, component, known)
             except Exception as error:  # noqa: BLE001 - a component may raise anything
                 sentence = sentence_of(error)
                 if isinstance(error, BridgeError) and error.reason is FailureReason.BAD_ENDPOINT:
@@ -124,10 +123,11 @@ class PluginChecker:
                 text = sentence if is_written else f"the parameter {name}: {sentence}"
                 yield self._problem(path, text, at_key=is_written)
 
-    def _without_structure(
+    def _port_problems(
         self, kind: BridgeType, component: ComponentPart, options: Any
-    ) -> Iterator[Problem]:
-        """Yield ports whose structure is neither known nor declared: no plan can use them."""
+    ) -> list[Problem]:
+        """Return the first port that can be none; note those of which no structure is known."""
+        fed = {address for port in component.inputs() if (address := _address(port.value))}
         for role, ports in (
             (Role.INPUT, component.inputs()),
             (Role.OUTPUT, component.outputs()),
@@ -139,7 +139,7 @@ class PluginChecker:
             for port in ports:
                 unknown = {part: key for part, key in parts.items() if key not in port.value}
                 address = _address(port.value)
-                if kind.describe is None or address is None or not unknown:
+                if kind.describe is None or address is None:
                     continue
                 endpoint = Endpoint(
                     str(component.text("bridge")),
@@ -150,16 +150,25 @@ class PluginChecker:
                     options=port.value.get("options", {}),
                     parameters=component.value.get("parameters", {}),
                 )
-                description = deadlines.run(
-                    f"looking at the structures of {address}",
-                    _PARAMETER_SECONDS,
-                    partial(kind.describe, endpoint, options),
-                )
+                try:
+                    description = deadlines.run(
+                        f"looking at the structures of {address}",
+                        _PARAMETER_SECONDS,
+                        partial(kind.describe, endpoint, options),
+                    )
+                    wrong = description.unfed(address, fed)
+                except BridgeError as error:
+                    if error.reason is not FailureReason.BAD_ENDPOINT:
+                        raise
+                    wrong = str(error)
+                if wrong:
+                    return [self._problem((*port.path, "endpoint"), wrong)]
                 keys = [key for part, key in unknown.items() if getattr(description, part) is None]
                 if keys and description.hint:
                     hint = f"{description.hint}, or declare {' and '.join(keys)} here; true is any"
                     sentence = "what its messages are like is not known, so that no plan has it"
-                    yield self._problem(port.path, sentence, hint)
+                    self._undescribed.append(self._problem(port.path, sentence, hint))
+        return []
 
     def _is_hosted(self, bridge: str | None) -> bool:
         host = self._hosts.get(bridge or "")

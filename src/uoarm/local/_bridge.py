@@ -33,7 +33,7 @@ from uoarm.errors import BridgeError
 from uoarm.local._instance import Instance
 from uoarm.local._loop import Coroutines, LoopThread
 from uoarm.local._modules import Modules
-from uoarm.local._target import Target, address_mistake, find
+from uoarm.local._target import Target, address_mistake, find, generates
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 
 _LISTED = {
@@ -94,7 +94,8 @@ def _ports(target: Target, parameters: Options) -> Iterator[tuple[Role, str]]:
         takes = target.first_unfilled(target.value, parameters) is not None
         if takes:
             yield Role.INPUT, "default"
-            yield Role.SERVICE, "default"
+            if not generates(target.value):
+                yield Role.SERVICE, "default"
         yield Role.OUTPUT, "default"
         return
     if target.source_name() is not None:

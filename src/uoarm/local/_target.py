@@ -184,12 +184,12 @@ class Target:
             ):
                 return found
             text = f"{self.name} has no method that gives messages: __iter__, __call__ or others"
-            raise BridgeError(text, FailureReason.NOT_FOUND)
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         name = "__call__" if endpoint.port == "default" else endpoint.port
         found = self.own(name)
         if found is None:
             text = f"{self.name} has no method {name!r} for the port {endpoint.port!r}"
-            raise BridgeError(text, FailureReason.NOT_FOUND)
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         return found
 
     def describe(self, endpoint: Endpoint) -> Description:
@@ -203,6 +203,7 @@ class Target:
         method = self.method(endpoint)
         declared: Mapping[str, Schema] = getattr(self.value, _DECLARED, {})
         declared = {**declared, **getattr(method, _DECLARED, {})}
+        self._require_role(endpoint, method, is_declared="output" in declared)
 
         def read(part: str) -> MessageStructure | None:
             if part in declared:
@@ -218,12 +219,34 @@ class Target:
             known = Description(read("input"))
             unknown = ["input"] if known.message is None else []
         elif endpoint.port == "default":
-            known = Description(read("output"))
+            known = Description(read("output"), needs_input=self.port(endpoint).takes_messages)
             unknown = ["output"] if known.message is None else []
-        else:
-            return Description()  # what is emitted for a named output is in no hint
+        else:  # what is emitted for a named output is in no hint
+            return Description(needs_input=self.port(endpoint).takes_messages)
         hints = [] if method is None else [self._wanted(part, endpoint) for part in unknown]
         return attrs.evolve(known, hint=", and ".join(dict.fromkeys(hints)))
+
+    def _require_role(self, endpoint: Endpoint, method: Any, *, is_declared: bool) -> None:
+        """Refuse a port that the signature of its callable does not allow.
+
+        Raises:
+            BridgeError: with BAD_ENDPOINT.
+        """
+        wrong = ""
+        if endpoint.role is not Role.OUTPUT:
+            taken = self.message_parameter(endpoint)
+            accepted = {item.name: item for item in self._parameters(method)[1:]}
+            accepted.pop(taken, None)
+            if self.is_class and (unfilled := [*parameter_mistakes(accepted, {}, taken, {})]):
+                wrong = f"each message comes whole, in {taken!r}: nothing fills {unfilled[0]!r}"
+            elif endpoint.role is Role.SERVICE and generates(method):
+                wrong = "it yields messages, and a service returns one reply"
+        elif not (self.is_class or self.port(endpoint).takes_messages):
+            hint = _NOTHING if is_declared else self.hints(method).get("return", _NOTHING)
+            wrong = _no_source(method, hint)
+        if wrong:
+            name = f"{self.name}, {method.__name__}" if self.is_class else self.name
+            raise BridgeError(f"{name}: {wrong}", FailureReason.BAD_ENDPOINT)
 
     def _wanted(self, part: str, endpoint: Endpoint) -> str:
         """Return which type hint is missing, as it would be written."""
@@ -235,7 +258,7 @@ class Target:
             name = self.message_parameter(endpoint)
             return f"give {name!r} of {self.name} a type hint, such as `{name}: float`"
         kind = "AsyncIterator" if inspect.isasyncgenfunction(method) else "Iterator"
-        returned = f"{kind}[float]" if _generates(method) else "float"
+        returned = f"{kind}[float]" if generates(method) else "float"
         return f"give {self.name} a type hint of what it returns, such as `-> {returned}`"
 
     def port(self, endpoint: Endpoint) -> TargetPort:
@@ -316,7 +339,22 @@ class Target:
     def _hint(self, part: str, endpoint: Endpoint, hints: Mapping[str, Any]) -> Any:
         if part in {"input", "request"}:
             return hints.get(self.message_parameter(endpoint), _NOTHING)
-        return _return_hint(hints, endpoint.role, self.method(endpoint))
+        return self.return_hint(endpoint, hints)
+
+    def return_hint(self, endpoint: Endpoint, hints: Mapping[str, Any]) -> Any:
+        """Return the hint of one message: of what a source or a generator yields, without `Emit`.
+
+        None is silence, and no message, but for a service, which always replies.
+        """
+        method, role = self.method(endpoint), endpoint.role
+        is_source = role is Role.OUTPUT and not self.port(endpoint).takes_messages
+        hint = _of_several(hints.get("return", _NOTHING), iterables=is_source or generates(method))
+        others = {Emit} if role is Role.SERVICE else {Emit, type(None)}
+        if get_origin(hint) in {Union, UnionType}:
+            messages = tuple(argument for argument in get_args(hint) if argument not in others)
+            return Union[messages] if messages else _NOTHING  # noqa: UP007 - of as many as there are
+        # Not `in`: one annotated with a dict has no hash.
+        return _NOTHING if any(hint is item for item in others) else hint
 
     def message_parameter(self, endpoint: Endpoint) -> str:
         """Return the name of the parameter that takes the message.
@@ -441,9 +479,9 @@ class TargetPort:
         Raises:
             HintError: its hint cannot be converted.
         """
-        target, role = self._target, self._endpoint.role
-        method = target.method(self._endpoint)
-        hint = _NOTHING if method is None else _return_hint(target.hints(method), role, method)
+        target, endpoint = self._target, self._endpoint
+        method = target.method(endpoint)
+        hint = _NOTHING if method is None else target.return_hint(endpoint, target.hints(method))
         return writer(hint, target.name)
 
     def waits(self, handler: Callable[..., Any]) -> AsyncKind:
@@ -520,26 +558,26 @@ def _is_open(hint: Any) -> bool:
     return is_container and any(map(_is_open, get_args(hint)))
 
 
-def _generates(method: Any) -> bool:
+def generates(method: Any) -> bool:
     return inspect.isgeneratorfunction(method) or inspect.isasyncgenfunction(method)
 
 
-def _return_hint(hints: Mapping[str, Any], role: Role, method: Any) -> Any:
-    """Return the hint of one message: of what a generator yields, without `Emit`.
+def _no_source(function: Any, hint: Any) -> str:
+    """Return why what takes no message gives none, "" where it may."""
+    if inspect.iscoroutinefunction(function):
+        return "it takes no message and yields none: an `async def` that is a source yields"
+    if hint is _NOTHING or _of_several(hint, iterables=True) is not hint:
+        return ""
+    return f"it takes no message and returns {getattr(hint, '__name__', hint)}, not an Iterator"
 
-    None is silence, and no message, but for a service, which always replies.
-    """
-    hint = hints.get("return", _NOTHING)
-    origin = get_origin(hint)
+
+def _of_several(hint: Any, *, iterables: bool) -> Any:
+    """Return the hint of one message, where a hint is of an iterator, or perhaps an iterable."""
+    origin = get_origin(hint) or hint
     is_iterator = inspect.isclass(origin) and issubclass(origin, Iterator | AsyncIterator)
-    if is_iterator or (origin in {Iterable, AsyncIterable} and _generates(method)):
-        hint = (*get_args(hint), _NOTHING)[0]
-    others = {Emit} if role is Role.SERVICE else {Emit, type(None)}
-    if get_origin(hint) in {Union, UnionType}:
-        messages = tuple(argument for argument in get_args(hint) if argument not in others)
-        return Union[messages] if messages else _NOTHING  # noqa: UP007 - of as many as there are
-    # Not `in`: one annotated with a dict has no hash.
-    return _NOTHING if any(hint is item for item in others) else hint
+    if is_iterator or (iterables and origin in {Iterable, AsyncIterable}):
+        return (*get_args(hint), _NOTHING)[0]
+    return hint
 
 
 def _import(name: str, modules: Modules) -> Any:
