@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import Any
+from random import Random
+from typing import Any, TypeAlias
 
 import pytest
 import yaml
@@ -124,6 +125,17 @@ def test_what_an_object_says_holds_for_what_is_in_it() -> None:
     assert carried.reasons[0].sentence == "the units differ: mm becomes m with scale: 0.001"
 
 
+def test_a_unit_around_numbers_that_all_state_their_own_is_that_of_none() -> None:
+    def around(name: str) -> dict[str, Any]:
+        return {**closed(x=unit("m"), n={"type": "string"}), "x-unit": name}
+
+    assert edge(around("mm"), around("s")).compatible
+    one, other = ({**closed(a=around("mm"), y=NUMBER), "x-unit": name} for name in ("mm", "m"))
+    assert pasted(one, other)({"a": {"x": 5, "n": "s"}, "y": 5}) == {
+        "a": {"x": 5, "n": "s"}, "y": 0.005
+    }  # fmt: skip
+
+
 def test_what_is_not_declared_rests_on_shape_and_is_named() -> None:
     flag, code = {"type": "boolean"}, {"enum": [1, 2]}
     one = closed(a=NUMBER, b=unit("m"), c=flag, d=code, e=OCTETS, f=unit("m"))
@@ -221,11 +233,36 @@ def test_a_choice_is_judged_branch_by_branch() -> None:
     assert edge(unit("m"), {"anyOf": [unit("s"), unit("m")]}).compatible
 
 
+@pytest.mark.parametrize(
+    "tag", [{"kind": {"const": "{}"}}, {"kind": {"$ref": "#/$defs/{}"}}, {"{}": NUMBER}]
+)
+def test_an_alternative_is_compared_with_those_that_its_messages_may_be(tag: Any) -> None:
+    def choice(**units: str) -> dict[str, Any]:
+        parts = [
+            closed(**yaml.safe_load(yaml.safe_dump(tag).replace("{}", name)), x=unit(said))
+            for name, said in units.items()
+        ]
+        return {"anyOf": parts, "$defs": {name: {"enum": [name]} for name in units}}
+
+    assert edge(choice(a="m", b="s"), choice(b="s", a="m")).compatible
+    found = judge(choice(a="m", b="s"), choice(a="s", b="m")).differences
+    assert [difference.sentence[:21] for difference in found] == [
+        "the units differ: m m",
+        "the units differ: s m",
+    ]
+
+
 def test_structures_that_refer_to_themselves_are_judged_once_around() -> None:
     def tree(name: str) -> dict[str, Any]:
         node = closed(value=unit(name), children={"type": "array", "items": {"$ref": "#/$defs/n"}})
         return {"$ref": "#/$defs/n", "$defs": {"n": node}}
 
+    def fork(name: str) -> dict[str, Any]:
+        way = {"anyOf": [{"$ref": "#/$defs/n"}, {"type": "null"}]}
+        return {"$ref": "#/$defs/n", "$defs": {"n": closed(value=unit(name), left=way, right=way)}}
+
+    assert judge(fork("m"), {**fork("m"), "title": "another"}).unstated == ()
+    assert len(judge(fork("m"), fork("mm")).differences) < 9
     assert not judge(tree("m"), tree("m")).differences
     assert {difference.path for difference in judge(tree("m"), tree("mm")).differences} == {
         ("value",), ("children", "[]", "value")
@@ -249,6 +286,73 @@ def test_a_suggestion_crosses_neither_types_nor_units() -> None:
 
 
 # Properties ------------------------------------------------------------------------------------
+
+Tree: TypeAlias = "tuple[str | None, dict[str, Tree]]"
+"""A unit or none, and fields, or `[]` for the items of an array; a number has none."""
+
+
+def _tree(draw: Random, depth: int = 0) -> Tree:
+    said = draw.choice(["m", "mm", "s", None, None, None])
+    kind = draw.choice(["number", "object", "object", "array"]) if depth < 3 else "number"
+    names = {"number": "", "object": draw.choice(["a", "ab", "abc"])}.get(kind, ["[]"])
+    return said, {name: _tree(draw, depth + 1) for name in names}
+
+
+def _varied(draw: Random, tree: Tree) -> Tree:
+    said, parts = tree
+    said = draw.choice([said, said, said, "m", "s", None])
+    return said, {name: _varied(draw, part) for name, part in parts.items()}
+
+
+def _units(tree: Tree, path: tuple[str, ...] = (), around: str | None = None) -> dict[Any, Any]:
+    said, parts = tree
+    if not parts:
+        return {path: said or around}
+    found = [_units(part, (*path, name), said or around) for name, part in parts.items()]
+    return {place: unit for units in found for place, unit in units.items()}
+
+
+def _written(draw: Random, tree: Tree, definitions: dict[str, Any]) -> dict[str, Any]:
+    """Write a structure of a tree in of the many ways that JSON Schema has for it."""
+    said, parts = tree
+    inner = {name: _written(draw, part, definitions) for name, part in parts.items()}
+    schema: dict[str, Any] = NUMBER
+    if "[]" in inner:
+        schema = {"type": "array", "items": inner["[]"]}
+    elif inner:
+        schema = {"type": "object", "properties": inner}
+    own = {} if said is None else {"x-unit": said}
+    is_beside = draw.random() < 0.5
+    if not is_beside:
+        schema = {**schema, **own}
+    ways: list[Any] = [schema, {"allOf": [schema]}, {"anyOf": [schema, {"type": "null"}]}]
+    ways += [{"allOf": [{"title": "x"}, schema]}, {"$ref": f"#/$defs/{len(definitions)}"}]
+    for name in inner:
+        more = {"items": {}} if name == "[]" else {"properties": {name: {"title": "x"}}}
+        ways += [{"allOf": [schema, more]}, {"allOf": [schema], **more}]
+        ways += [{**schema, "anyOf": [{"required": [name]}, {"maxProperties": 9}]}]
+    way = draw.choice(ways)
+    if "$ref" in way:
+        definitions[str(len(definitions))] = schema
+    return {**way, **own} if is_beside else way
+
+
+@given(st.randoms(use_true_random=False))
+def test_units_are_compared_however_a_structure_is_written(draw: Random) -> None:
+    one = _tree(draw)
+    other = _varied(draw, one)
+    made: dict[str, Any] = {"$defs": {}}
+    taken: dict[str, Any] = {"$defs": {}}
+    for tree, schema in ((one, made), (other, taken)):
+        schema.update(_written(draw, tree, schema["$defs"]))
+    found = judge(made, taken)
+    pairs = {path: (said, _units(other)[path]) for path, said in _units(one).items()}
+    different = {
+        path for path, (mine, theirs) in pairs.items() if mine and theirs and mine != theirs
+    }
+    assert {difference.path for difference in found.differences} == different
+    assert set(found.unstated) == {path for path, units in pairs.items() if None in units}
+
 
 statements = st.fixed_dictionaries(
     {},

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from fractions import Fraction
+from itertools import chain, zip_longest
 from typing import Any, TypeAlias
 
 from attrs import define, field, frozen
@@ -131,9 +132,9 @@ def judge(producer: Any, consumer: Any, alike: tuple[frozenset[str], ...] = ()) 
     else:
         walk.compare(producer, consumer, (), _NOTHING, _NOTHING, False, found)
     return Meanings(
-        tuple(found.differences[:_MOST_TOLD]),
-        tuple(dict.fromkeys(found.unstated[:_MOST_TOLD])),
-        tuple(found.notes[:_MOST_TOLD]),
+        tuple(found.differences)[:_MOST_TOLD],
+        tuple(found.unstated)[:_MOST_TOLD],
+        tuple(found.notes)[:_MOST_TOLD],
     )
 
 
@@ -146,14 +147,16 @@ def _are_equal(one: Any, other: Any) -> bool:
 
 @define
 class _Findings:
-    differences: list[MeaningDifference] = field(factory=list)
-    unstated: list[Path] = field(factory=list)
-    notes: list[str] = field(factory=list)
+    """What was found, in its order; what is found again is no more than it was."""
+
+    differences: dict[MeaningDifference, None] = field(factory=dict)
+    unstated: dict[Path, None] = field(factory=dict)
+    notes: dict[str, None] = field(factory=dict)
 
     def add(self, other: _Findings) -> None:
-        self.differences += other.differences
-        self.unstated += other.unstated
-        self.notes += other.notes
+        self.differences |= other.differences
+        self.unstated |= other.unstated
+        self.notes |= other.notes
 
 
 @define
@@ -169,7 +172,11 @@ class _Walk:
     consumer: Any
     alike: tuple[frozenset[str], ...]
     pairs: int = 0
-    referred: set[tuple[int, int, str]] = field(factory=set)
+    # What pairs with a choice or a reference came to; nothing yet of those that are under way,
+    # since what refers to itself says the same again.
+    referred: dict[tuple[int, int, str], _Findings] = field(factory=dict)
+    # Schemas that hold together, by their identities: what is met again is the same object.
+    joint: dict[tuple[int, ...], Said] = field(factory=dict)
 
     def find_unstated(self, schema: Any, path: Path, said: Said, found: _Findings) -> None:
         """Find what rests on shape alone in a schema of both sides, where nothing can differ."""
@@ -177,7 +184,7 @@ class _Walk:
             return
         self.pairs += 1
         if self.pairs > _MOST_PAIRS or len(path) > _MOST_DEPTH:
-            found.unstated.append(path)
+            found.unstated[path] = None
         elif not _CHOICES.isdisjoint(schema):
             self.compare(schema, schema, path, said, said, False, found)
         elif "$id" in schema and self._is_outside(schema, schema):
@@ -187,7 +194,7 @@ class _Walk:
             return
         elif "x-octets" in schema:
             if "x-encoding" not in schema:
-                found.unstated.append(path)
+                found.unstated[path] = None
         else:
             if not _INHERITED.isdisjoint(schema):
                 said = _with_own(said, schema)
@@ -195,7 +202,7 @@ class _Walk:
                 for name, child, _ in (*_fields(schema, schema), *_items(schema, schema)):
                     self.find_unstated(child, (*path, name), said, found)
             if _is_number(schema) and _MEASURES.isdisjoint(said):
-                found.unstated.append(path)
+                found.unstated[path] = None
 
     def compare(
         self,
@@ -215,34 +222,45 @@ class _Walk:
             return
         self.pairs += 1
         if self.pairs > _MOST_PAIRS or len(path) > _MOST_DEPTH:
-            found.unstated.append(path)
+            found.unstated[path] = None
             return
         if _CHOICES.isdisjoint(one) and _CHOICES.isdisjoint(other):
             self._compare_views(one, other, path, mine, theirs, covered, found)
             return
-        if "$ref" in one or "$ref" in other:
-            # What refers to itself says the same again.
-            key = (id(one), id(other), f"{mine} {theirs} {covered}")
-            if key in self.referred:
-                return
-            self.referred.add(key)
+        key = (id(one), id(other), f"{mine} {theirs} {covered}")
+        if key not in self.referred:
+            self.referred[key] = report = _Findings()
+            self._compare_choices(one, other, path, mine, theirs, covered, report)
+        found.add(self.referred[key])
+
+    def _compare_choices(
+        self,
+        one: Said,
+        other: Said,
+        path: Path,
+        mine: Said,
+        theirs: Said,
+        covered: bool,  # noqa: FBT001 - as in `compare`
+        found: _Findings,
+    ) -> None:
         try:
             made, taken = self._views(one, self.producer), self._views(other, self.consumer)
         except _NotFollowedError:
             if not covered:
-                found.unstated.append(path)
+                found.unstated[path] = None
             return
         for view in made:
-            # A consumer with a choice takes a value as what agrees with it most.
-            best: _Findings | None = None
-            for mapping in taken:
-                if len(made) == len(taken) == 1 or _may_be_alike(view, mapping):
-                    report = _Findings()
-                    self._compare_views(view, mapping, path, mine, theirs, covered, report)
-                    if best is None or len(report.differences) < len(best.differences):
-                        best = report
-            if best is not None:
-                found.add(best)
+            # A consumer with a choice takes a value as what agrees with it most, of what may be it.
+            near = taken
+            if len(made) + len(taken) > 2:  # noqa: PLR2004 - a choice on a side
+                near = [mapping for mapping in taken if _are_of_one_kind(view, mapping)]
+                near = [mapping for mapping in near if self._may_meet(view, mapping)] or near
+            reports = []
+            for mapping in near:
+                reports.append(_Findings())
+                self._compare_views(view, mapping, path, mine, theirs, covered, reports[-1])
+            if reports:
+                found.add(min(reports, key=lambda report: len(report.differences)))
 
     def _compare_views(
         self,
@@ -265,13 +283,14 @@ class _Walk:
                     return
                 covered = covered or known is True
             mine, theirs = _with_own(mine, one), _with_own(theirs, other)
-            if "x-unit" in one or "x-unit" in other:
-                _compare_units(one, path, mine.get("x-unit"), theirs.get("x-unit"), found)
             if not (_WORDS_COMPARED.isdisjoint(one) and _WORDS_COMPARED.isdisjoint(other)):
                 _compare_words({**one, **mine}, {**other, **theirs}, one, other, path, found)
+        # A unit around numbers is that of those which state no other: it is compared at each.
+        if mine and theirs and _may_be_measured(one, other):
+            _compare_units(one, path, mine.get("x-unit"), theirs.get("x-unit"), found)
         if "x-octets" in one or "x-octets" in other:
             if not covered and not ("x-encoding" in one and "x-encoding" in other):
-                found.unstated.append(path)
+                found.unstated[path] = None
             return
         if "properties" in one or "additionalProperties" in one:
             for name, child, taken in _fields(one, other):
@@ -282,7 +301,27 @@ class _Walk:
         if covered or (mine and theirs and any(key in mine and key in theirs for key in _MEASURES)):
             return
         if _is_number(one) and _is_number(other):
-            found.unstated.append(path)
+            found.unstated[path] = None
+
+    def _may_meet(self, one: Said, other: Said) -> bool:
+        """Say whether an object of one alternative may be of another, by its fields and tags."""
+        if not (_has_room(one, other) and _has_room(other, one)):
+            return False
+        mine, theirs = one.get("properties", {}), other.get("properties", {})
+        for name in mine.keys() & theirs:
+            made = self._only_values(mine[name], self.producer)
+            taken = self._only_values(theirs[name], self.consumer)
+            if made and taken and made.isdisjoint(taken):
+                return False
+        return True
+
+    def _only_values(self, schema: Any, root: Any) -> set[str]:
+        """Return the only values of a schema as texts; none where it does not name them all."""
+        try:
+            values = [_values(view) for view in self._views(schema, root)]
+        except _NotFollowedError:
+            return set()
+        return set(chain(*values)) if all(values) else set()
 
     def _is_outside(self, one: Said, other: Said) -> bool:
         """Say whether references within these schemas are to other documents than around them."""
@@ -306,15 +345,16 @@ class _Walk:
         if not _are_alike(mine, theirs, self.alike):
             sentence = f"the types differ: {mine} is not {theirs}"
             reports = f"x-type {mine}", f"x-type {theirs}"
-            found.differences.append(MeaningDifference(path, sentence, *reports))
+            found.differences[MeaningDifference(path, sentence, *reports)] = None
             return False
         for key in ("version", "hash"):
             said = [_of_type(mapping, key) for mapping in (one, other)]
             if mine == theirs and None not in said and said[0] != said[1]:
                 where = write_places(path) or "message"
-                found.notes.append(
+                note = (
                     f"{where}: the producer's {mine} has {key} {said[0]}, the consumer's {said[1]}"
                 )
+                found.notes[note] = None
         if mine == theirs and "x-constants" in one and "x-constants" in other:
             _compare_constants(one["x-constants"], other["x-constants"], mine, path, found)
         return True
@@ -341,15 +381,45 @@ class _Walk:
                 views = [
                     view for part in schema[key] for view in self._views(part, root, depth + 1)
                 ]
-                bases = _product(views, bases)
+                bases = self._product(views, bases)
         return bases
 
     def _all(self, parts: Iterable[Any], bases: list[Said], root: Any, depth: int) -> list[Said]:
         for part in parts:
             views = self._views(part, root, depth + 1)
             if views:
-                bases = _product(views, bases)
+                bases = self._product(views, bases)
         return bases
+
+    def _product(self, views: list[Said], bases: list[Said]) -> list[Said]:
+        if len(views) * len(bases) > _MOST_VIEWS:
+            raise _NotFollowedError
+        return [self._merged(view, base) for base in bases for view in views]
+
+    def _merged(self, inner: Said, outer: Said) -> Said:
+        """Return one schema for two that hold together; what stands outside comes first."""
+        made = {**inner, **outer}
+        for key in _PARTS & inner.keys() & outer.keys():
+            one, other = outer[key], inner[key]
+            if key == "properties":
+                both = {name: self._joint(one[name], other[name]) for name in one if name in other}
+                made[key] = {**other, **one, **both}
+            elif key == "prefixItems":
+                pairs = zip_longest(one, other, fillvalue=True)
+                made[key] = [self._joint(*pair) for pair in pairs]
+            else:
+                made[key] = self._joint(one, other)
+        return made
+
+    def _joint(self, outer: Any, inner: Any) -> Any:
+        """Return a schema of what two accept."""
+        if not isinstance(outer, Mapping) or not isinstance(inner, Mapping):
+            return inner if outer is True or inner is False else outer
+        schemas = (
+            schema["allOf"] if schema.keys() == {"allOf"} else [schema] for schema in (outer, inner)
+        )
+        parts = {id(part): part for part in chain.from_iterable(schemas)}
+        return self.joint.setdefault(tuple(parts), {"allOf": list(parts.values())})
 
 
 def _compare_constants(one: Any, other: Any, name: str, path: Path, found: _Findings) -> None:
@@ -363,14 +433,13 @@ def _compare_constants(one: Any, other: Any, name: str, path: Path, found: _Find
                 "for the consumer"
             )
             reports = f"{key}={value!r}", f"{key}={other[key]!r}"
-            found.differences.append(MeaningDifference(path, sentence, *reports))
+            found.differences[MeaningDifference(path, sentence, *reports)] = None
     more = [f"{key}={value!r}" for key, value in one.items() if key not in other]
     if more:
         where = write_places(path) or "message"
-        found.notes.append(
-            f"{where}: the producer's {name} has constants that the consumer's has not: "
-            + ", ".join(more[:_MOST_SHOWN])
-        )
+        names = ", ".join(more[:_MOST_SHOWN])
+        note = f"{where}: the producer's {name} has constants that the consumer's has not: {names}"
+        found.notes[note] = None
 
 
 def _with_own(around: Said, schema: Said) -> Said:
@@ -391,7 +460,7 @@ def _compare_words(
         if isinstance(mine, str) and isinstance(theirs, str) and mine != theirs:
             sentence = f"the {words} differ: {mine} is not {theirs}"
             reports = f"{keyword} {mine}", f"{keyword} {theirs}"
-            found.differences.append(MeaningDifference(path, sentence, *reports))
+            found.differences[MeaningDifference(path, sentence, *reports)] = None
 
 
 def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Findings) -> None:
@@ -403,22 +472,22 @@ def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Findin
         by = conversion(mine, theirs)
     except UnitError as error:
         sentence = f"{mine} and {theirs} cannot be compared: {error}"
-        found.differences.append(MeaningDifference(path, sentence, *reports))
+        found.differences[MeaningDifference(path, sentence, *reports)] = None
         return
     if scaled is not None:
         sentence = _of_scaled(scaled, by, mine, theirs)
         if sentence:
-            found.differences.append(MeaningDifference(path, sentence, *reports))
+            found.differences[MeaningDifference(path, sentence, *reports)] = None
         elif by is None:
             where = write_places(path)
-            found.notes.append(f"{where}: the map makes {theirs} of {mine} by a factor")
+            found.notes[f"{where}: the map makes {theirs} of {mine} by a factor"] = None
     elif by is None:
         sentence = f"the units differ: {mine} measures something else than {theirs}"
-        found.differences.append(MeaningDifference(path, sentence, *reports))
+        found.differences[MeaningDifference(path, sentence, *reports)] = None
     elif by.changes:
         lines = ", ".join(f"{name}: {number}" for name, number in by.lines.items())
         sentence = f"the units differ: {mine} becomes {theirs} with {lines}"
-        found.differences.append(MeaningDifference(path, sentence, *reports, by))
+        found.differences[MeaningDifference(path, sentence, *reports, by)] = None
 
 
 def _is_another(schema: Said, document: Any) -> bool:
@@ -430,17 +499,6 @@ def _is_another(schema: Said, document: Any) -> bool:
 
 class _NotFollowedError(Exception):
     """A reference leads out of the document, or choices multiply beyond what is looked at."""
-
-
-def _product(views: list[Said], bases: list[Said]) -> list[Said]:
-    if len(views) * len(bases) > _MOST_VIEWS:
-        raise _NotFollowedError
-    return [_merged(view, base) for base in bases for view in views]
-
-
-def _merged(inner: Said, outer: Said) -> Said:
-    fields = {**inner.get("properties", {}), **outer.get("properties", {})}
-    return {**inner, **outer, **({"properties": fields} if fields else {})}
 
 
 def _fields(one: Said, other: Said) -> Iterator[tuple[str, Any, Any]]:
@@ -477,7 +535,31 @@ def _is_number(schema: Said) -> bool:
     return kinds in _NUMBERS and "enum" not in schema and "const" not in schema
 
 
-def _may_be_alike(one: Said, other: Said) -> bool:
+def _may_be_measured(one: Said, other: Said) -> bool:
+    """Say whether values are numbers, or state a unit and are neither null nor of parts."""
+    if _is_number(one) and _is_number(other):
+        return True
+    is_said = "x-unit" in one or "x-unit" in other
+    is_null = "null" in (one.get("type"), other.get("type"))
+    return is_said and not is_null and (_PARTS.isdisjoint(one) or _PARTS.isdisjoint(other))
+
+
+def _has_room(one: Said, other: Said) -> bool:
+    """Say whether an object may have all fields that the other must have."""
+    is_open = one.get("additionalProperties") is not False or "patternProperties" in one
+    return is_open or one.get("properties", {}).keys() >= set(other.get("required", ()))
+
+
+def _values(schema: Said) -> list[str]:
+    """Return the only values of a schema as texts; none where it names none."""
+    values = [schema["const"]] if "const" in schema else schema.get("enum", ())
+    return [
+        repr(int(value) if isinstance(value, float) and value.is_integer() else value)
+        for value in values
+    ]
+
+
+def _are_of_one_kind(one: Said, other: Said) -> bool:
     kinds = []
     for mapping in (one, other):
         text = mapping.get("type")
