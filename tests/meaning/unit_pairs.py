@@ -137,6 +137,9 @@ nF uF 1/1000
 mH H 1/1000
 T mT 1000
 uT T 1/1000000
+G T 1/10000
+mG uT 0.1
+gauss uT 100
 Hz kHz 1/1000
 kHz Hz 1000
 MHz kHz 1000
@@ -190,6 +193,8 @@ kBy By 1000
 MBy kBy 1000
 MBy/s By/s 1000000
 lx lm/m2 1
+mcd cd 1/1000
+2.10*3.m km 2
 mol mmol 1000
 mmol/L mol/m3 1
 u kg 1.66053906892e-27

@@ -22,6 +22,7 @@ from uoarm._origin import install_command
 _MOST_CHARACTERS = 60
 _MOST_POWER = 12
 _MOST_KNOWN = 10_000
+_MOST_FACTOR = Fraction(10**100)
 
 
 class UnitError(ValueError):
@@ -78,7 +79,8 @@ _IN_PINT: Mapping[str, str] = {
     "kBy": "kilobyte", "MBy": "megabyte", "GBy": "gigabyte", "b": "barn", "st": "stere",
     "t": "metric_ton", "u": "unified_atomic_mass_unit", "P": "poise", "sb": "stilb", "a": "year",
     "mo": "month", "wk": "week", "d": "day", "ar": "are", "amp": "ampere", "amps": "ampere",
-    "gal": "gallon", "Torr": "torr",
+    "gal": "gallon", "Torr": "torr", "mcd": "millicandela", "G": "si_gauss", "mG": "millisi_gauss",
+    "gauss": "si_gauss", "milligauss": "millisi_gauss",
 }  # fmt: skip
 _EXPRESSIONS: Mapping[str, str] = {
     "rpm": "{rev}/min", "{rpm}": "{rev}/min", "Nm": "N.m", "mNm": "mN.m", "kmh": "km/h",
@@ -114,6 +116,8 @@ _TOKEN = re.compile(
     r"|(?P<number>\d+)|(?P<name>(?:[^\W\d]+(?:\[[^\[\]]+\])?|\[[^\[\]]+\]|''?|%|°[CF]?)_?)"
     r"(?P<power>(?:\^|\*\*)?[+-]?\d+)?"
 )
+# A point multiplies: 1.5 would be 5.
+_DECIMAL = re.compile(r"\d+\.(?!10[*^])\d")
 _LOCK = threading.Lock()
 _known: dict[str, _Unit] = {}
 
@@ -166,7 +170,10 @@ def _registry() -> Any:
     except ImportError as error:
         command = install_command("uoarm", "units")
         raise UnitError(f"to compare and convert units this needs: {command}") from error
-    return pint.UnitRegistry(non_int_type=Fraction)
+    registry: Any = pint.UnitRegistry(non_int_type=Fraction)
+    # Pint's own has the dimensions of Gaussian units, and fits no tesla.
+    registry.define("si_gauss = 1e-4 * tesla")
+    return registry
 
 
 def _require_no_misspelling(text: str) -> None:
@@ -225,6 +232,8 @@ def _unit(text: str) -> _Unit:
             base[dimension] += exponent * power  # type: ignore[assignment]
         if alone:
             offset = one.offset
+    if not 1 / _MOST_FACTOR < factor < _MOST_FACTOR:
+        raise UnitError(f"{text!r} is no unit: it is too much or too little to make sense")
     kept = tuple(sorted((name, Fraction(power)) for name, power in base.items() if power))
     return _Unit(kept, factor, offset)
 
@@ -260,7 +269,7 @@ def _powers(text: str) -> Counter[str | Fraction]:
         raise UnitError(f"a unit has 1 to {_MOST_CHARACTERS} characters, {text[:80]!r} has not")
     found: Counter[str | Fraction] = Counter()
     signs, sign, awaiting = [1], 1, True
-    for kind, part, power in _tokens(written, text):
+    for number, (kind, part, power) in enumerate(_tokens(written, text)):
         if kind == "operator":
             if part == "(":
                 if not awaiting:
@@ -271,7 +280,7 @@ def _powers(text: str) -> Counter[str | Fraction]:
                 if awaiting or len(signs) == 1:
                     break
                 signs.pop()
-            elif awaiting and (part != "/" or found or len(signs) > 1):
+            elif awaiting and (part != "/" or number):
                 break
             else:
                 sign, awaiting = (-1 if part == "/" else 1), True
@@ -302,6 +311,8 @@ def _tokens(written: str, text: str) -> Iterator[tuple[str, str, int]]:
         if kind == "ten":
             report = match["ten"][3:]
         power = int(report.lstrip("^*"))
+        if kind == "number" and (int(match[kind]) == 0 or _DECIMAL.match(written, position)):
+            raise UnitError(f"{text!r} is no unit: its numbers are whole ones from 1 on")
         if abs(power) > (_MOST_CHARACTERS if kind == "ten" else _MOST_POWER):
             raise UnitError(f"{text!r} is no unit: a power of {power} is beyond sense")
         yield kind, match[kind], power
