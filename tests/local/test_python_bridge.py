@@ -196,7 +196,7 @@ def test_a_hint_that_takes_long_to_read_holds_up_no_other_port(
             reading.set()
             assert gate.wait(patience())
 
-    monkeypatch.setattr("uoarm.local._target.reader", read)
+    monkeypatch.setattr("uoarm.local._port.reader", read)
     endpoint = Endpoint("python", "c", Role.INPUT, ("x",))
     slow = Background(lambda: Target("slow", change).port(endpoint).reader)
     assert reading.wait(patience())

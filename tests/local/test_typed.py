@@ -202,6 +202,33 @@ def test_a_hint_that_cannot_be_converted_is_named_with_its_place() -> None:
         reader(list[Tree] | dict[str, Tree], "here")
 
 
+@pytest.mark.parametrize("role", [Role.INPUT, Role.SERVICE])
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("either", "disambiguate between .*Count.*Twin"),
+        ("perhaps", "disambiguate between .*Count.*Twin"),
+        ("seeded", "Seeded cannot be built of its fields: missing .*'seed'"),
+    ],
+)
+def test_what_no_message_could_become_is_refused_where_the_structure_is_made(
+    name: str, role: Role, expected: str
+) -> None:
+    with pytest.raises(HintError, match=f"parts:{name}: the type hint .* {expected}") as caught:
+        talk.describe(name, role)
+    assert caught.value.reason is FailureReason.BAD_ENDPOINT
+
+
+def test_a_parameter_that_no_value_could_become_is_refused_with_its_name() -> None:
+    with pytest.raises(BridgeError, match=r"parameter 'seeds': .*cannot be built of its fields"):
+        talk.describe("seed_within", Role.SERVICE, seeds=[{"value": 1}])
+
+
+def test_objects_of_like_classes_may_be_given() -> None:
+    assert talk.describe("gives_either", Role.OUTPUT).message is not None
+    assert talk.given("gives_either", 2) == [{"value": 1}, {"value": 2}]
+
+
 def test_numbers_of_numpy_are_numbers() -> None:
     for name in ("numpy_numbers", "numpy_reals"):
         structure = talk.describe(name, Role.OUTPUT).message

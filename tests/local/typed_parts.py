@@ -6,7 +6,7 @@ import asyncio
 import threading
 import typing
 from collections.abc import AsyncIterator, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from enum import Enum
 from typing import Annotated, Any, NamedTuple, TypedDict
 
@@ -253,3 +253,39 @@ def iterable_counts() -> Iterable[int]:
 
 def bare_counts() -> typing.Iterator:  # type: ignore[type-arg]
     yield from range(2)
+
+
+@dataclass
+class Twin:
+    value: int
+
+
+@dataclass
+class Seeded:
+    value: int
+    seed: InitVar[int]
+
+
+class Shifted(TypedDict):
+    inner: list[Count | Twin | None]
+
+
+def either(message: Count | Twin) -> Number:
+    return {"value": message.value}
+
+
+def perhaps(message: Shifted) -> Number:
+    return {"value": len(message["inner"])}
+
+
+def seeded(message: Seeded) -> Number:
+    return {"value": message.value}
+
+
+def seed_within(message: Number, seeds: list[Seeded]) -> Number:
+    return {"value": message["value"] + len(seeds)}
+
+
+def gives_either() -> Iterator[Count | Twin]:
+    yield Count(1)
+    yield Twin(2)

@@ -6,16 +6,27 @@ meet as they are (TypedDict of numbers and texts, lists of numbers) has no conve
 
 from __future__ import annotations
 
+import dataclasses
+import inspect
 import operator
 from collections.abc import Callable
 from enum import Enum
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from types import UnionType
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+import attrs
 from typing_extensions import is_typeddict
 
-from uoarm._hints.arrays import HintError, array_of, scalar_of
-from uoarm._hints.schemas import is_enum, is_model, is_named_tuple, is_plain, is_record
+from uoarm._hints.arrays import HintError, array_of, scalar_of, unwrapped
+from uoarm._hints.schemas import (
+    fields_of,
+    is_enum,
+    is_model,
+    is_named_tuple,
+    is_plain,
+    is_record,
+)
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message
 
@@ -42,7 +53,7 @@ def reader(hint: Any, place: str) -> Callable[[Message], Any] | None:
         return None
     from cattrs import transform_error  # noqa: PLC0415 - slow import
 
-    structure = _compiled(hint, place, _converter().get_structure_hook)
+    structure = _compiled(hint, place, _structure_hook)
     name = getattr(hint, "__name__", hint)
 
     def read(message: Message) -> Any:
@@ -157,6 +168,53 @@ def _compiled(hint: Any, place: str, get_hook: Callable[[Any], Any]) -> Any:
     except Exception as error:
         text = f"{place}: the type hint {hint!r} cannot be converted: {error}"
         raise HintError(text) from error
+
+
+def _structure_hook(hint: Any) -> Any:
+    _require_readable(hint, set())
+    return _converter().get_structure_hook(hint)
+
+
+def _require_readable(hint: Any, seen: set[Any]) -> None:
+    """Refuse what cattrs only finds with the first message.
+
+    Raises:
+        TypeError: a class is not built of its fields.
+        Exception: as cattrs has it, for a union in which also plain values are.
+    """
+    hint = unwrapped(hint)
+    if is_model(hint):
+        return
+    parts = fields_of(hint)
+    if parts is None:
+        origin, arguments = get_origin(hint), get_args(hint)
+        if origin is Literal:
+            return
+        if origin in {Union, UnionType}:
+            classes = [
+                part
+                for part in arguments
+                if get_origin(part) is not Literal
+                and not any(unwrapped(part) is kind for kind in (*_PRIMITIVES, type(None)))
+            ]
+            if len(classes) > 1:
+                _converter().get_structure_hook(Union[tuple(classes)])  # noqa: UP007 - of several
+        for part in arguments:
+            _require_readable(part, seen)
+        return
+    if hint in seen:
+        return
+    seen.add(hint)
+    if _is_class(hint):
+        found = attrs.fields(hint) if attrs.has(hint) else dataclasses.fields(hint)
+        names = [getattr(item, "alias", item.name) for item in found if item.init]
+        try:
+            inspect.signature(hint).bind(**dict.fromkeys(names))
+        except TypeError as error:
+            text = f"{hint.__name__} cannot be built of its fields: {error}"
+            raise TypeError(text) from None
+    for part, _ in parts.values():
+        _require_readable(part, seen)
 
 
 def _sentence_of(error: BaseException, kind: type | None) -> str:

@@ -81,7 +81,7 @@ def schema_of(hint: Any, depth: int = 0) -> Mapping[str, object]:
     numbers = scalar_of(hint) or array_of(hint)
     if numbers is not None:
         return numbers.schema
-    fields = _fields_of(hint)
+    fields = fields_of(hint)
     if fields is not None:
         return _object(fields, depth)
     return _generic(hint, depth)
@@ -195,7 +195,7 @@ def _tuple(arguments: tuple[Any, ...], depth: int) -> Mapping[str, object]:
     }
 
 
-def _fields_of(hint: Any) -> dict[str, tuple[Any, bool]] | None:
+def fields_of(hint: Any) -> dict[str, tuple[Any, bool]] | None:
     """Return name to (hint, required) of a record type, None for any other."""
     if is_typeddict(hint):
         hints = _hints_of(hint)

@@ -13,7 +13,8 @@ from uoarm._raised import foreign
 from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._loop import Coroutines
-from uoarm.local._target import AsyncKind, Emit, Target, TargetPort
+from uoarm.local._port import AsyncKind, TargetPort
+from uoarm.local._target import Emit, Target
 from uoarm.model import Deliver, Endpoint, Message, Options
 
 Finished = Callable[[Exception | None], None]

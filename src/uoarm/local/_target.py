@@ -17,22 +17,22 @@ from collections.abc import (
     Mapping,
     Sequence,
 )
-from enum import Enum
 from types import UnionType
-from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import attrs
 from attrs import field, frozen
 
 from uoarm._arguments import arguments
 from uoarm._hints.arrays import HintError
-from uoarm._hints.convert import reader, writer
+from uoarm._hints.convert import reader
 from uoarm._hints.schemas import schema_of
 from uoarm._mistakes import Speller, schema_mistakes
 from uoarm._raised import foreign, text_of
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.local._modules import Modules, written_name
+from uoarm.local._port import TargetPort
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema
 
 
@@ -89,13 +89,18 @@ _NAMED = {inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONL
 def _misfit(value: object, hint: Any) -> str:
     """Return what is wrong with a value, "" where it fits or the hint says nothing."""
     try:
-        schema = schema_of(hint)
+        schema: Schema = schema_of(hint)
     except HintError:
-        return ""
+        schema = True
     reports = [
         f"{'.'.join(map(str, path))}: {sentence}" if path else sentence
         for path, sentence, _, _ in schema_mistakes(value, schema, Speller())
     ]
+    if not reports:
+        try:
+            reader(hint, "it")
+        except HintError as error:
+            return str(error)
     return "; ".join(reports)
 
 
@@ -131,14 +136,6 @@ def structure(
         return target
 
     return mark
-
-
-class AsyncKind(Enum):
-    """What is asynchronous of a handler: nothing, its reply, or each of its messages."""
-
-    NOTHING = "nothing"
-    REPLY = "reply"
-    MESSAGES = "messages"
 
 
 @frozen
@@ -204,6 +201,9 @@ class Target:
         declared: Mapping[str, Schema] = getattr(self.value, _DECLARED, {})
         declared = {**declared, **getattr(method, _DECLARED, {})}
         self._require_role(endpoint, method, is_declared="output" in declared)
+        port = self.port(endpoint)
+        if endpoint.role is not Role.OUTPUT or not port.takes_messages:
+            port.require_conversion()
 
         def read(part: str) -> MessageStructure | None:
             if part in declared:
@@ -405,99 +405,6 @@ class Target:
             return self._type_hints(method)
         except (NameError, TypeError, AttributeError):
             return {}
-
-
-class _made_once(Generic[T]):  # noqa: N801 - read as a property is
-    """What is made when it is first needed; perhaps by two threads, of which the last one counts.
-
-    Not `functools.cached_property`: before CPython 3.12 all objects of a class share its lock, so
-    that a hint that takes long to read would hold up every other port.
-    """
-
-    def __init__(self, make: Callable[[Any], T]) -> None:
-        self._make = make
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, port: TargetPort, owner: type) -> T:
-        made = vars(port)[self._name] = self._make(port)
-        return made
-
-
-class TargetPort:
-    """What is known of a port and what converts its messages, each made when it is first needed.
-
-    Args:
-        target: whose port it is.
-        endpoint: of the port.
-    """
-
-    def __init__(self, target: Target, endpoint: Endpoint) -> None:
-        self._target = target
-        self._endpoint = endpoint
-        self._waits: AsyncKind | None = None
-
-    @_made_once
-    def takes_messages(self) -> bool:
-        """Whether the callable behind it is called with messages, or is a source."""
-        target, endpoint = self._target, self._endpoint
-        if target.is_class and endpoint.role is Role.OUTPUT:
-            return target.source_name() is None
-        return target.first_unfilled(target.method(endpoint), endpoint.parameters) is not None
-
-    @_made_once
-    def is_quick(self) -> bool:
-        """Whether opening and closing it runs no code of the component.
-
-        That is so for a function that takes messages and for a generator function. A class is
-        built and closed, another callable is called to be iterated over, and parameters are made
-        by what their hints say.
-        """
-        value = self._target.value
-        return (
-            not self._endpoint.parameters
-            and inspect.isfunction(value)
-            and (inspect.isgeneratorfunction(value) or self.takes_messages)
-        )
-
-    @_made_once
-    def reader(self) -> Callable[[Message], Any] | None:
-        """What makes the value that it takes of a message; None: the message is that.
-
-        Raises:
-            HintError: its hint cannot be converted.
-        """
-        target, endpoint = self._target, self._endpoint
-        name = target.message_parameter(endpoint)
-        return reader(target.hints(target.method(endpoint)).get(name, _NOTHING), target.name)
-
-    @_made_once
-    def writer(self) -> Callable[[Any], Message] | None:
-        """What makes a message of what it gives, or of what answers what it takes.
-
-        Raises:
-            HintError: its hint cannot be converted.
-        """
-        target, endpoint = self._target, self._endpoint
-        method = target.method(endpoint)
-        hint = _NOTHING if method is None else target.return_hint(endpoint, target.hints(method))
-        return writer(hint, target.name)
-
-    def waits(self, handler: Callable[..., Any]) -> AsyncKind:
-        """Say what calling its handler, or the object that it is, gives to wait for."""
-        if self._waits is None:
-            self._waits = _waits(handler)
-        return self._waits
-
-
-def _waits(handler: Callable[..., Any]) -> AsyncKind:
-    for asked in (handler, getattr(handler, "__call__", None)):  # noqa: B004 - the method
-        if inspect.iscoroutinefunction(asked):
-            return AsyncKind.REPLY
-        if inspect.isasyncgenfunction(asked):
-            return AsyncKind.MESSAGES
-    return AsyncKind.NOTHING
 
 
 def address_mistake(address: Sequence[str]) -> str:
