@@ -5,22 +5,27 @@ from __future__ import annotations
 import builtins
 import sys
 import typing
-from dataclasses import dataclass
+from array import array
+from dataclasses import dataclass, field, make_dataclass
 from enum import Enum, IntEnum, IntFlag
-from types import ModuleType
-from typing import Any, Literal
+from functools import reduce
+from types import ModuleType, SimpleNamespace
+from typing import Annotated, Any, Literal, NewType, get_origin
 
+import attrs
 import numpy as np
 import pytest
+from hypothesis import given, reject
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from tests.local import talk, typed_parts
 from tests.processes import run_python
-from typing_extensions import TypedDict
+from typing_extensions import NotRequired, ReadOnly, Required, TypedDict
 
 from uoarm import RobotManager
 from uoarm._dataplane import make_check
 from uoarm._hints.convert import reader, writer
-from uoarm._hints.schemas import is_plain
+from uoarm._hints.schemas import is_plain, is_record
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.local import HintError, schema_of
@@ -113,6 +118,11 @@ def test_hints_of_numpy_have_structures() -> None:
             schema_of(hint)
 
 
+@dataclass
+class Person:
+    name: str
+
+
 class Level(IntEnum):
     LOW = 1
     HIGH = 2
@@ -184,6 +194,171 @@ def test_octets_come_as_what_the_hint_says(kind: Any) -> None:
     for message in (b"ab", [97, 98]):
         assert type(read(message)) is kind
         assert bytes(read(message)) == b"ab"
+
+
+@pytest.mark.parametrize(
+    "hint", [NDArray[np.float32], NDArray[np.int32], bytes, bytearray, memoryview]
+)
+@pytest.mark.parametrize(
+    "message",
+    [b"\1\2", bytearray(b"\1\2"), [1, 2], np.array([1, 2]), np.array([1, 2], ">i2"),
+     array("i", [1, 2]), memoryview(array("H", [1, 2]))],
+)  # fmt: skip
+def test_numbers_stay_the_same_whatever_buffer_they_come_in(hint: Any, message: Any) -> None:
+    read = reader(hint, "here")
+    assert read is not None
+    assert list(read(message)) == [1, 2]
+
+
+ZERO = 0
+
+
+@dataclass
+class Given:
+    text: str = ""
+    byte: np.uint8 = ZERO  # type: ignore[assignment] # a number that it can hold
+    real: np.float32 = ZERO  # type: ignore[assignment]
+    reals: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, "f4"))
+    several: list[Person] | Person | None = None
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"text": 5}, {"text": b"x"}, {"text": None}, {"byte": 3.7}, {"byte": "5"}, {"byte": True},
+     {"byte": 256}, {"byte": np.int64(2**40)}, {"real": "1"}, {"real": 1e300},
+     {"reals": np.array([1e300])}],
+)  # fmt: skip
+def test_what_a_hint_does_not_promise_is_given_to_none(wrong: Any) -> None:
+    write = writer(Given, "here")
+    assert write is not None
+    with pytest.raises(BridgeError, match=next(iter(wrong))):
+        write(Given(**wrong))
+    given = write(
+        Given(text=Gear.FIRST, byte=np.int64(255), real=np.float32(np.inf), several=[Person("n")])
+    )
+    assert given["reals"].dtype == "float32"
+    assert {**given, "reals": None} == {
+        "text": "first", "byte": 255, "real": np.inf, "reals": None, "several": [{"name": "n"}]
+    }  # fmt: skip
+
+
+def test_an_enumeration_of_what_is_no_json_has_no_structure() -> None:
+    with pytest.raises(HintError, match="neither texts, numbers"):
+        schema_of(Enum("Colour", {"RED": (255, 0, 0)}))
+
+
+class Optionals(TypedDict, total=False):
+    must: ReadOnly[Required[int]]
+    noted: Annotated[Required[bytes], "x"]
+    may: ReadOnly[bytes]
+
+
+class Mostly(TypedDict):
+    must: ReadOnly[int]
+    may: Annotated[NotRequired[int], "x"]
+
+
+def test_what_may_be_left_out_is_found_behind_other_qualifiers() -> None:
+    assert schema_of(Optionals)["required"] == ["must", "noted"]
+    assert schema_of(Mostly)["required"] == ["must"]
+
+
+# Hints, a value of each, and its message.
+LEAVES: list[tuple[Any, Any, Any]] = [
+    (int, 3, 3), (str, "a", "a"), (bytes, b"ab", b"ab"), (Gear, Gear.FIRST, "first"),
+    (Level, Level.HIGH, 2), (np.float32, np.float32(0.5), 0.5), (np.int8, np.int8(-3), -3),
+    (Literal[Level.LOW, "z"], Level.LOW, 1), (bool | None, None, None),
+]  # fmt: skip
+HOW = st.sampled_from(
+    [
+        "list",
+        "dict",
+        "tuple",
+        "pair",
+        "new",
+        "noted",
+        "optional",
+        "class",
+        "attrs",
+        "named",
+        "typed",
+    ]
+)
+
+
+HINTS: Any = SimpleNamespace(  # of what is only known as it runs
+    list=list,
+    dict=dict,
+    tuple=tuple,
+    Annotated=Annotated,
+    Optional=typing.Optional,
+    NamedTuple=typing.NamedTuple,
+    NewType=NewType,
+    ReadOnly=ReadOnly,
+    TypedDict=TypedDict,
+)
+
+
+def _around(inner: tuple[Any, Any, Any], how: str) -> tuple[Any, Any, Any]:
+    made: Any
+    hint, value, message = inner
+    words = {"x-unit": "m", "x-encoding": "z"}
+    match how:
+        case "list":
+            return HINTS.list[hint], [value, value], [message, message]
+        case "dict":
+            return HINTS.dict[str, hint], {"k": value}, {"k": message}
+        case "tuple":
+            return HINTS.tuple[hint, ...], (value,), [message]
+        case "pair":
+            return HINTS.tuple[hint, int], (value, 1), [message, 1]
+        case "new":
+            return HINTS.NewType("New", hint), value, message
+        case "noted":
+            return HINTS.Annotated[hint, words], value, message
+        case "optional" if get_origin(hint) is not Annotated:
+            return HINTS.Optional[hint], value, message
+        case "class":
+            made = make_dataclass("Made", [("a", hint), ("b", Annotated[int, words])])
+        case "attrs":
+            made = attrs.make_class(
+                "Made", {"a": attrs.field(type=hint), "b": attrs.field(type=int)}
+            )
+        case "named":
+            made = HINTS.NamedTuple("Made", [("a", hint), ("b", int)])
+        case _:
+            fields = {"a": HINTS.ReadOnly[hint], "b": NotRequired[Annotated[int, words]]}
+            return HINTS.TypedDict("Made", fields), {"a": value}, {"a": message}
+    return made, made(a=value, b=1), {"a": message, "b": 1}
+
+
+def _exact(value: Any) -> Any:
+    """Return a value with the types in it, which numbers are equal without."""
+    if isinstance(value, dict):
+        return {name: _exact(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value), [_exact(item) for item in value]
+    fields = getattr(value, "__dict__", None) if is_record(type(value)) else None
+    return type(value), value if fields is None else _exact(fields)
+
+
+@given(st.sampled_from(LEAVES), st.lists(HOW, max_size=4))
+def test_values_become_the_messages_of_their_structure_and_come_back(
+    leaf: tuple[Any, Any, Any], around: list[str]
+) -> None:
+    try:
+        hint, value, message = reduce(_around, around, leaf)
+    except TypeError:  # a union of what has no hash, which Python refuses
+        reject()
+    read, write = reader(hint, "here"), writer(hint, "here")
+    made = value if write is None else write(value)
+    assert same(made, message)
+    check = make_check(MessageStructure(schema_of(hint)), ValidationMode.ALWAYS, "here")
+    assert check is not None
+    check(made)
+    for form in (made, message):
+        back = form if read is None else read(form)
+        assert read is None or _exact(back) == _exact(value)
 
 
 @dataclass

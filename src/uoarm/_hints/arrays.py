@@ -5,8 +5,10 @@ numpy is never imported here: the module with such a hint has done it.
 
 from __future__ import annotations
 
+import math
+import operator
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, NewType, TypeAlias, get_args, get_origin
 
@@ -79,6 +81,41 @@ _HOW = (
 )
 
 
+def truth(value: Any) -> bool:
+    """Return true or false; raises TypeError for all else."""
+    if isinstance(value, bool):
+        return value
+    if type(value).__name__ in {"bool", "bool_"} and hasattr(value, "item"):  # numpy's
+        return bool(value)
+    raise TypeError(f"expected true or false, got {value!r:.60}")
+
+
+def integer(value: Any) -> int:
+    """Return a whole number; raises TypeError for all else."""
+    if value.__class__ is int:
+        return value
+    if isinstance(value, bool):
+        raise TypeError(f"expected an integer, got {value!r}")
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise TypeError(f"expected an integer, got {value!r:.60}") from None
+
+
+def number(value: Any) -> float:
+    """Return a number; raises TypeError for all else."""
+    if value.__class__ is float or value.__class__ is int:
+        return value
+    if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
+        raise TypeError(f"expected a number, got {value!r:.60}")
+    return float(value)
+
+
+_OF_KINDS: Mapping[str, Callable[[Any], Any]] = {
+    "b": truth, "i": integer, "u": integer, "f": number
+}  # fmt: skip
+
+
 @frozen(eq=False)
 class NumpyScalar:
     """A hint such as `numpy.float32`."""
@@ -101,8 +138,16 @@ class NumpyScalar:
         return self.dtype.type(value)
 
     def write(self, value: Any) -> Any:
-        """Make a number of numpy's scalar."""
-        return self.dtype.type(value).item()
+        """Make a number of numpy's scalar, or of any that its type can hold."""
+        given = _OF_KINDS[self.dtype.kind](value)
+        with sys.modules["numpy"].errstate(over="ignore"):
+            made = self.dtype.type(given).item()
+        is_other = (
+            made != given if self.dtype.kind in "iu" else math.isinf(made) != math.isinf(given)
+        )
+        if is_other:
+            raise TypeError(f"expected a number of {self.dtype}, got {value!r:.60}")
+        return made
 
 
 @frozen(eq=False)
@@ -127,8 +172,8 @@ class NumpyArray:
     def read(self, value: Any, _: Any = None) -> Any:
         """Make an array of lists, octets or a numeric buffer; without a copy where it can be."""
         numpy = sys.modules["numpy"]
-        if isinstance(value, bytes | bytearray | memoryview):
-            return self._checked(numpy.frombuffer(value, self.item.dtype))
+        if isinstance(value, bytes | bytearray):  # as many numbers as octets, of whatever type
+            value = numpy.frombuffer(value, "uint8")
         return self._checked(numpy.asarray(value, self.item.dtype))
 
     def write(self, value: Any) -> Any:
@@ -136,11 +181,14 @@ class NumpyArray:
         numpy = sys.modules["numpy"]
         given = numpy.asarray(value)
         try:
-            cast = given.astype(self.item.dtype, casting="same_kind", copy=False)
+            with numpy.errstate(over="ignore"):
+                cast = given.astype(self.item.dtype, casting="same_kind", copy=False)
         except TypeError:
             raise TypeError(f"expected {self}, got numbers of {given.dtype}") from None
-        if cast is not given and cast.dtype.kind in "iu" and not numpy.array_equal(cast, given):
-            raise TypeError(f"expected {self}, got numbers that it cannot hold")
+        if cast is not given:
+            compare = numpy.array_equal if cast.dtype.kind in "iu" else _are_held
+            if not compare(cast, given):
+                raise TypeError(f"expected {self}, got numbers that it cannot hold")
         return self._checked(cast)
 
     def _checked(self, array: Any) -> Any:
@@ -154,6 +202,13 @@ class NumpyArray:
 
     def __str__(self) -> str:
         return f"an array of {self.item.dtype} of the shape {_shape(self.lengths)}"
+
+
+def _are_held(cast: Any, given: Any) -> bool:
+    """Say whether no number became infinite as an array was cast."""
+    numpy = sys.modules["numpy"]
+    beyond = numpy.isinf(cast)
+    return not beyond.any() or bool(numpy.isinf(given[beyond]).all())
 
 
 def _shape(lengths: tuple[int | None, ...]) -> str:

@@ -11,15 +11,26 @@ import inspect
 import operator
 from collections.abc import Callable
 from enum import Enum
-from functools import cache, lru_cache
-from types import UnionType
-from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
+from functools import cache, lru_cache, reduce
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
 
 import attrs
-from typing_extensions import is_typeddict
+from typing_extensions import get_type_hints, is_typeddict
 
-from uoarm._hints.arrays import HintError, array_of, scalar_of, unwrapped
+from uoarm._hints.arrays import (
+    HintError,
+    OctetsMark,
+    Shape,
+    array_of,
+    integer,
+    number,
+    scalar_of,
+    truth,
+    unwrapped,
+)
 from uoarm._hints.schemas import (
+    QUALIFIERS,
     fields_of,
     is_enum,
     is_model,
@@ -115,7 +126,7 @@ def _path_to_fault(hint: Any, value: Any) -> list[str]:
         parts = {str(name): (hints.get(name, inner), item) for name, item in value.items()}
     for name, (part, item) in parts.items():
         try:
-            _converter().get_unstructure_hook(part)(item)
+            _converter().get_unstructure_hook(_convertible(part))(item)
         except Exception:  # noqa: BLE001 - whatever the field raises, it is the one
             return [name, *_path_to_fault(part, item)]
     return []
@@ -164,7 +175,7 @@ def _write_of(kind: type) -> Callable[[Any], Message] | None:
 
 def _compiled(hint: Any, place: str, get_hook: Callable[[Any], Any]) -> Any:
     try:
-        return get_hook(hint)
+        return get_hook(_convertible(hint))
     except Exception as error:
         text = f"{place}: the type hint {hint!r} cannot be converted: {error}"
         raise HintError(text) from error
@@ -172,7 +183,7 @@ def _compiled(hint: Any, place: str, get_hook: Callable[[Any], Any]) -> Any:
 
 def _structure_hook(hint: Any) -> Any:
     _require_readable(hint, set())
-    return _converter().get_structure_hook(hint)
+    return _structuring(hint, _converter())
 
 
 def _require_readable(hint: Any, seen: set[Any]) -> None:
@@ -232,24 +243,30 @@ def _converter() -> Converter:
     """Return the converter of all hints; predicates that were registered last are asked first."""
     import cattrs  # noqa: PLC0415 - slow import
     from cattrs import cols, strategies  # noqa: PLC0415
-    from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn  # noqa: PLC0415
+    from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, typeddicts  # noqa: PLC0415
 
-    made = cattrs.Converter()
+    made = cattrs.Converter(structure_fallback_factory=_refuse)
     for kind in _PRIMITIVES:  # the structures were proven: nothing is coerced
         made.register_structure_hook(kind, _primitive)
     for octets in (bytes, bytearray, memoryview):
         made.register_structure_hook(octets, _octets)
         made.register_unstructure_hook(octets, _same)
-    made.register_unstructure_hook(bool, _truth)
-    made.register_unstructure_hook(int, _integer)
-    made.register_unstructure_hook(float, _number)
+    made.register_unstructure_hook(bool, truth)
+    made.register_unstructure_hook(int, integer)
+    made.register_unstructure_hook(float, number)
     made.register_unstructure_hook(str, _text)
     strategies.configure_union_passthrough(str | bool | int | float | None, made)
     made.register_structure_hook_factory(
-        is_named_tuple, lambda kind: cols.namedtuple_dict_structure_factory(kind, made)
+        is_named_tuple,
+        lambda kind: cols.namedtuple_dict_structure_factory(
+            kind, made, **_fields(kind, made, is_read=True)
+        ),
     )
     made.register_unstructure_hook_factory(
-        is_named_tuple, lambda kind: cols.namedtuple_dict_unstructure_factory(kind, made)
+        is_named_tuple,
+        lambda kind: cols.namedtuple_dict_unstructure_factory(
+            kind, made, **_fields(kind, made, is_read=False)
+        ),
     )
     made.register_structure_hook_factory(
         is_model, lambda kind: lambda value, _: kind.model_validate(value)
@@ -258,11 +275,26 @@ def _converter() -> Converter:
         is_model, lambda _: lambda value: value.model_dump(mode="json", by_alias=True)
     )
     made.register_structure_hook_factory(
-        _is_class, lambda kind: make_dict_structure_fn(kind, made, **_annotated(kind, made))
+        _is_class,
+        lambda kind: make_dict_structure_fn(kind, made, **_fields(kind, made, is_read=True)),
     )
     made.register_unstructure_hook_factory(
-        _is_class, lambda kind: make_dict_unstructure_fn(kind, made, **_annotated(kind, made))
+        _is_class,
+        lambda kind: make_dict_unstructure_fn(kind, made, **_fields(kind, made, is_read=False)),
     )
+    made.register_structure_hook_factory(
+        is_typeddict,
+        lambda kind: typeddicts.make_dict_structure_fn(
+            kind, made, **_fields(kind, made, is_read=True)
+        ),
+    )
+    made.register_unstructure_hook_factory(
+        is_typeddict,
+        lambda kind: typeddicts.make_dict_unstructure_fn(
+            kind, made, **_fields(kind, made, is_read=False)
+        ),
+    )
+    made.register_unstructure_hook_factory(_is_choice, lambda _: plain_inside)
     made.register_structure_hook_factory(_numbers, lambda hint: _numbers(hint).read)
     made.register_unstructure_hook_factory(_numbers, lambda hint: _numbers(hint).write)
     made.register_structure_hook_factory(_is_passed, lambda _: _as_it_is)
@@ -274,24 +306,60 @@ def _is_class(kind: Any) -> bool:
     return is_record(kind) and not is_named_tuple(kind) and not is_model(kind)
 
 
-def _annotated(kind: Any, made: Converter) -> dict[str, Any]:
-    """Return the hooks of fields whose annotations cattrs would not see: those written as text."""
+def _fields(kind: Any, made: Converter, *, is_read: bool) -> dict[str, Any]:
+    """Return the hooks of fields whose hints say more than cattrs would see, or could take."""
     from cattrs.gen import override  # noqa: PLC0415 - slow import
 
     full, bare = get_type_hints(kind, include_extras=True), get_type_hints(kind)
-    found: dict[str, Any] = {}
-    for name, hint in full.items():
-        if hint != bare[name]:
-            found[name] = override(
-                struct_hook=made.get_structure_hook(hint),
-                unstruct_hook=made.get_unstructure_hook(hint),
-            )
-    return found
+    inner = {
+        name: plainer
+        for name, hint in full.items()
+        if (plainer := _convertible(hint)) != bare[name] or hint != plainer
+    }
+    if is_read:
+        return {
+            name: override(struct_hook=_structuring(hint, made)) for name, hint in inner.items()
+        }
+    return {
+        name: override(unstruct_hook=made.get_unstructure_hook(hint))
+        for name, hint in inner.items()
+    }
+
+
+def _structuring(hint: Any, made: Converter) -> Callable[[Any, Any], Any]:
+    """Return what makes values of a hint, whatever type it is called with."""
+    structure = made.get_structure_hook(hint)
+    return lambda value, _: structure(value, hint)
+
+
+def _convertible(hint: Any) -> Any:
+    """Return a hint with no more notes than change its values: words of a schema have no hash."""
+    hint = unwrapped(hint)
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in QUALIFIERS:
+        return _convertible(arguments[0])
+    if origin is Annotated:
+        notes = [note for note in arguments[1:] if isinstance(note, Shape | OctetsMark)]
+        inner = _convertible(arguments[0])
+        return reduce(lambda made, note: Annotated[made, note], notes, inner)
+    if origin in {None, Literal} or not arguments:
+        return hint
+    parts = tuple(map(_convertible, arguments))
+    return reduce(operator.or_, parts) if origin is UnionType else origin[parts]
+
+
+def _refuse(hint: Any) -> Any:
+    raise TypeError(f"messages cannot be told apart as {hint!r}")
 
 
 def _numbers(hint: Any) -> Any:
     """Return what a hint of numpy says; None for any other."""
     return scalar_of(hint) or array_of(hint)
+
+
+def _is_choice(hint: Any) -> bool:
+    """Say whether a hint is a union of more than one type and None, whose values say which."""
+    return get_origin(hint) in {Union, UnionType} and len({*get_args(hint), NoneType}) > 2  # noqa: PLR2004
 
 
 def _is_passed(hint: Any) -> bool:
@@ -312,35 +380,14 @@ def _primitive(value: Any, kind: Any) -> Any:
 
 
 def _octets(value: Any, kind: Any) -> Any:
-    return value if isinstance(value, kind) else kind(bytes(value))
-
-
-def _truth(value: Any) -> bool:
-    if isinstance(value, bool):
+    if isinstance(value, kind) and getattr(value, "itemsize", 1) == 1:
         return value
-    if type(value).__name__ in {"bool", "bool_"} and hasattr(value, "item"):  # numpy's
-        return bool(value)
-    raise TypeError(f"expected true or false, got {value!r:.60}")
-
-
-def _integer(value: Any) -> int:
-    if value.__class__ is int:
-        return value
-    if isinstance(value, bool):
-        raise TypeError(f"expected an integer, got {value!r}")
-    try:
-        return operator.index(value)
-    except TypeError:
-        raise TypeError(f"expected an integer, got {value!r:.60}") from None
-
-
-def _number(value: Any) -> float:
-    if value.__class__ is float or value.__class__ is int:
-        return value
-    if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
-        raise TypeError(f"expected a number, got {value!r:.60}")
-    return float(value)
+    # The numbers of a buffer are octets, whatever their width there.
+    return kind(bytes(value.tolist() if hasattr(value, "tolist") else value))
 
 
 def _text(value: Any) -> Any:
-    return value.value if isinstance(value, Enum) else value
+    found = value.value if isinstance(value, Enum) else value
+    if not isinstance(found, str):
+        raise TypeError(f"expected a text, got {value!r:.60}")
+    return found

@@ -22,7 +22,7 @@ from typing import (
 from weakref import WeakKeyDictionary
 
 import attrs
-from typing_extensions import NotRequired, Required, is_typeddict
+from typing_extensions import NotRequired, ReadOnly, Required, is_typeddict
 
 from uoarm._hints.arrays import (
     HintError,
@@ -50,6 +50,7 @@ _SIMPLE: Mapping[object, Mapping[str, object]] = {
     None: {"type": "null"},
     types.NoneType: {"type": "null"},
 }
+QUALIFIERS = frozenset({Required, NotRequired, ReadOnly})
 _BUFFERS = (bytes, bytearray, memoryview)
 # To evaluate the hints of a class takes most of the time of describing a component, and is asked
 # for again and again. Any thread; two that find the same do no harm.
@@ -74,8 +75,7 @@ def schema_of(hint: Any, depth: int = 0) -> Mapping[str, object]:
     if depth > _MAX_DEPTH:
         raise HintError(f"the type hint {hint!r} is nested too deep or recursive")
     if is_enum(hint):
-        is_flags = issubclass(hint, enum.Flag)
-        return _flags(hint) if is_flags else {"enum": [member.value for member in hint]}
+        return _flags(hint) if issubclass(hint, enum.Flag) else _members(hint)
     if is_model(hint):
         return _model(hint)
     numbers = scalar_of(hint) or array_of(hint)
@@ -108,7 +108,7 @@ def is_plain(hint: Any, depth: int = 0) -> bool:
         return is_octets or is_plain(arguments[0], depth)
     if origin is Literal:
         return not any(isinstance(argument, enum.Enum) for argument in arguments)
-    if origin in {Required, NotRequired, Union, types.UnionType, list, dict}:
+    if origin in {*QUALIFIERS, Union, types.UnionType, list, dict}:
         return all(is_plain(argument, depth + 1) for argument in arguments)
     return origin is not tuple
 
@@ -139,6 +139,14 @@ def is_model(kind: Any) -> bool:
     return base is not None and is_class(kind) and issubclass(kind, base)
 
 
+def _members(kind: type[enum.Enum]) -> Mapping[str, object]:
+    values = [member.value for member in kind]
+    if not all(value is None or isinstance(value, bool | int | float | str) for value in values):
+        text = f"members of the type hint {kind!r} are neither texts, numbers, truths nor None"
+        raise HintError(text)
+    return {"enum": values}
+
+
 def _flags(kind: type[enum.Flag]) -> Mapping[str, object]:
     """Return the schema of flags: every sum of them is a value, too."""
     every = reduce(operator.or_, (member.value for member in kind), 0)
@@ -151,7 +159,7 @@ def _generic(hint: Any, depth: int) -> Mapping[str, object]:
     origin, arguments = get_origin(hint), get_args(hint)
     if not arguments and (origin is not tuple or hint is typing.Tuple):  # noqa: UP006 - bare
         origin = None  # List and the like, which do not say what is in them
-    if origin in {Required, NotRequired}:
+    if origin in QUALIFIERS:
         return schema_of(arguments[0], depth)
     if origin is Annotated:
         return _annotated(schema_of(arguments[0], depth), arguments[1:])
@@ -220,9 +228,10 @@ def _hints_of(kind: Any) -> Mapping[str, Any]:
 
 
 def _is_required(record: Any, name: str, hint: Any) -> bool:
-    if get_origin(hint) is NotRequired:
-        return False
-    return get_origin(hint) is Required or name in record.__required_keys__
+    # What is within text, as of every module with postponed annotations, the class does not know.
+    while (origin := get_origin(hint)) in {ReadOnly, Annotated}:
+        hint = get_args(hint)[0]
+    return origin is Required or (origin is not NotRequired and name in record.__required_keys__)
 
 
 def _object(fields: Mapping[str, tuple[Any, bool]], depth: int) -> Mapping[str, object]:
