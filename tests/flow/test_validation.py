@@ -56,7 +56,7 @@ def test_every_form_of_octets_is_an_array(data: object) -> None:
     ("schema", "message"),
     [
         ({"enum": [1, "a"]}, np.zeros((2, 2))),
-        ({"const": [0, 0]}, np.zeros(2)),
+        ({"const": [0, 1]}, np.zeros(2)),
         (False, memoryview(b"abcd").cast("B", (2, 2))),
         ({"enum": [1, "a"]}, {b"a": 1}),
     ],
@@ -66,6 +66,16 @@ def test_a_value_that_is_none_of_json_is_refused_as_a_message(schema: Any, messa
     assert checker is not None
     with pytest.raises(MessageError, match=r"camera\.default: "):
         checker(message)
+
+
+@pytest.mark.parametrize(
+    "schema",
+    [{"const": [0, 0]}, {"anyOf": [{"enum": [7]}, {"type": "array", "items": {"type": "number"}}]}],
+)
+def test_a_numeric_buffer_is_compared_as_an_array_is(schema: Any) -> None:
+    checker = make_check(MessageStructure(schema), ValidationMode.ALWAYS, "here")
+    assert checker is not None
+    checker(np.zeros(2))
 
 
 @pytest.mark.parametrize("ranges", [np.array([0.0, 2.5]), array("d", [0.5]), [1, 2.5], np.empty(0)])

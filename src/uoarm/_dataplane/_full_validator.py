@@ -131,6 +131,8 @@ def _kind() -> type[Validator]:
             "type": _type,
             "items": _items,
             "uniqueItems": _unique,
+            "enum": _enumerated,
+            "const": lambda validator, value, *rest: _enumerated(validator, [value], *rest),
             "$ref": _reference,
             **ranges,
             **sizes,
@@ -198,6 +200,12 @@ def _unique(
         keys = set(map(_key, instance))
         if len(keys) < len(instance):
             yield ValidationError("the same item twice")
+
+
+def _enumerated(_: Validator, values: Sequence[Any], instance: Any, __: object) -> Errors:
+    """Hold `enum` for arrays of numpy, too, which are compared with a number item by item."""
+    if _key(instance) not in set(map(_key, values)):
+        yield ValidationError("none of the known values")
 
 
 def _key(value: object) -> Hashable:
