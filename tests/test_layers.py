@@ -111,9 +111,9 @@ WITHIN = {
     ],
 }
 ALONE = {
-    "schema": {"schema"},
+    "schema": {"schema", "_encodable"},
     "_wire": {"_wire", "model", "schema", "errors"},
-    "cdr": {"cdr", "model", "errors", "_deferred"},
+    "cdr": {"cdr", "model", "errors", "_deferred", "_encodable"},
     "local": {"local", "bridge", "_hints", "model", "errors"}
     | {"_arguments", "_mistakes", "_raised", "_support"},
 }

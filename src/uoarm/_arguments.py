@@ -22,6 +22,7 @@ from typing import (
     get_type_hints,
 )
 
+from uoarm._encodable import shown
 from uoarm.errors import UsageError
 
 P = ParamSpec("P")
@@ -205,7 +206,7 @@ def _shown(value: object) -> str:
         text = value if len(value) <= _SHOWN else f"{value[:_SHOWN]}..."
         return f"the text {text!r}"
     if value is None or isinstance(value, bool | int | float):
-        return repr(value)
+        return shown(value)
     if inspect.isclass(value):
         return f"the class {value.__name__}"
     return _article(type(value).__name__)

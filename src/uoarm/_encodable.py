@@ -1,8 +1,12 @@
-"""Text that can be encoded and printed: halves of surrogate pairs and control characters cannot."""
+"""Text that can be encoded and printed: halves of surrogate pairs and control characters cannot.
+
+Nor can values as they are: Python writes whole numbers of 4,300 digits at most, and all of a list.
+"""
 
 from __future__ import annotations
 
 import re
+import reprlib
 
 # Terminals obey C0 and C1 characters. Those of Unicode end a line, or have text run the other way.
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
@@ -30,3 +34,24 @@ def printable(text: str) -> str:
     Tabs and ends of lines stay. Halves of surrogate pairs are for `encodable`.
     """
     return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text.replace("\r\n", "\n"))
+
+
+_LONG = 10**40
+
+
+class _Short(reprlib.Repr):
+    def repr_int(self, value: int, level: int) -> str:
+        del level
+        if abs(value) < _LONG:
+            return repr(value)
+        return f"a whole number of {value.bit_length():,} bits"
+
+
+_SHORT = _Short()
+_SHORT.maxstring = _SHORT.maxother = 90
+
+
+def shown(value: object, most: int = 80) -> str:
+    """Return a value in words for an error: at most so many characters, whatever it is."""
+    text = encodable(_SHORT.repr(value))
+    return text if len(text) <= most else f"{text[: most - 3]}..."

@@ -12,8 +12,12 @@ from hypothesis import strategies as st
 from tests.structures import closed
 
 from uoarm._adapt import adapt, check_edge, parse
+from uoarm._dataplane import make_check
+from uoarm._encodable import shown
+from uoarm._support.yaml import clip
+from uoarm.cdr import _values as cdr_values
 from uoarm.errors import MessageError
-from uoarm.model import MessageStructure
+from uoarm.model import MessageStructure, ValidationMode
 
 ANY: dict[str, Any] = {}
 WHOLE = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
@@ -217,3 +221,56 @@ def test_every_loss_must_be_allowed_however_many_there_are() -> None:
     allowed = check_edge(producer, consumer, {"a": "f0"}, tuple(names[1:]))
     assert allowed.compatible
     assert len(allowed.losses) == 299
+
+
+LONG = 10**5000
+
+
+@pytest.mark.parametrize(
+    "keywords",
+    [
+        {"const": LONG},
+        {"enum": [LONG, "a"]},
+        {"minimum": LONG},
+        {"multipleOf": LONG},
+        {"type": LONG},
+        {"required": [LONG]},
+        {"$ref": LONG},
+        {"format": LONG},
+        {"x-max-json": LONG},
+        {"x-max-utf8": LONG},
+    ],
+)
+@pytest.mark.parametrize("rule", [None, {"from": "a", "scale": 2}, {"const": LONG}])
+def test_numbers_that_python_does_not_write_get_a_verdict(keywords: Any, rule: Any) -> None:
+    mapping = None if rule is None else {"a": rule}
+    whole = MessageStructure({"type": "object", "properties": {"a": keywords}, "required": ["a"]})
+    for schema in (True, {"type": "string"}, {"const": LONG + 1}, {"type": "integer"}):
+        inside = {"type": "object", "properties": {"a": schema}, "required": ["a"]}
+        other = MessageStructure(inside)
+        assert other == MessageStructure(dict(inside))
+        assert other != whole
+        for producer, consumer in ((whole, other), (other, whole)):
+            verdict = check_edge(producer, consumer, mapping)
+            assert verdict.compatible or all(reason.sentence for reason in verdict.reasons)
+
+
+@pytest.mark.parametrize("key", ["scale", "clamp"])
+def test_a_map_with_a_number_that_python_does_not_write_is_refused_in_words(key: str) -> None:
+    structure = MessageStructure({"type": "object", "properties": {"a": {"type": "integer"}}})
+    verdict = check_edge(structure, structure, {"a": {"from": "a", key: [LONG]}})
+    assert "[a whole number of 16,610 bits]" in verdict.reasons[0].sentence
+
+
+def test_a_message_with_a_number_that_python_does_not_write_is_refused_in_words() -> None:
+    for value in (LONG, [LONG], {"a": LONG}):
+        check = make_check(MessageStructure({"type": "string"}), ValidationMode.ALWAYS, "here")
+        assert check is not None
+        with pytest.raises(MessageError, match="a whole number of 16,610 bits"):
+            check(value)
+
+
+def test_values_of_any_kind_are_written_in_words() -> None:
+    for write in (clip, shown, cdr_values.shown):
+        for value in (LONG, [LONG], {"a": (LONG,)}):
+            assert "a whole number of 16,610 bits" in write(value)

@@ -20,6 +20,7 @@ from uoarm._adapt._mapping import (
     write_path,
 )
 from uoarm._adapt._numbers import Maker, clamped, scaled
+from uoarm._encodable import shown
 from uoarm.errors import MessageError
 
 
@@ -239,16 +240,16 @@ def _enumerated(
             raise UnfitError(where, "an enum map is for texts, numbers, true, false and null")
         text = next((text for text in _texts_of(value) if text in known), None)
         if text is None:
-            raise UnfitError(where, f"the enum map says nothing of the value {value!r}")
+            raise UnfitError(where, f"the enum map says nothing of the value {shown(value)}")
         if value in table and table[value] != known[text]:
-            raise UnfitError(where, f"an enum map cannot distinguish {value!r} from its equal")
+            raise UnfitError(where, f"an enum map cannot distinguish {shown(value)} from its equal")
         table[value] = known[text]
 
     def look_up(value: Any) -> Any:
         try:
             return table[value]
         except (KeyError, TypeError):
-            text = f"{where}: the enum map says nothing of {value!r:.100}"
+            text = f"{where}: the enum map says nothing of {shown(value)}"
             raise MessageError(text) from None
 
     return {"enum": list({repr(value): value for value in table.values()}.values())}, look_up

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 from attrs import field, frozen
 
+from uoarm._encodable import shown
 from uoarm._meaning import INHERITED
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
@@ -172,7 +173,7 @@ def _from(rule: Mapping[str, Any], where: str, mistakes: list[str]) -> Mapped | 
         mistakes.append(f"{where}: map belongs to each")
     for key in ("scale", "offset"):
         if not _is_number(rule.get(key, 0)):
-            mistakes.append(f"{where}: {key} must be a finite number, got {rule[key]!r:.50}")
+            mistakes.append(f"{where}: {key} must be a finite number, got {shown(rule[key])}")
             return None
     if "enum" in rule and not isinstance(rule["enum"], Mapping):
         mistakes.append(f"{where}: enum must say for each value what it becomes")
@@ -180,7 +181,7 @@ def _from(rule: Mapping[str, Any], where: str, mistakes: list[str]) -> Mapped | 
     clamp = rule.get("clamp")
     if "clamp" in rule and not _is_range(clamp):
         mistakes.append(
-            f"{where}: clamp must be two numbers, the lower one first, got {clamp!r:.50}"
+            f"{where}: clamp must be two numbers, the lower one first, got {shown(clamp)}"
         )
         return None
     scaled = "scale" in rule or "offset" in rule
@@ -272,7 +273,9 @@ class Structure:
                 return {**schema, **said} if said else schema
             target = follow(self.definitions, schema["$ref"])
             if target is None:
-                raise UnfitError(path, f"the reference {schema['$ref']!r} cannot be followed here")
+                raise UnfitError(
+                    path, f"the reference {shown(schema['$ref'])} cannot be followed here"
+                )
             schema = target
         raise UnfitError(path, "the references go in a circle")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import reprlib
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -15,7 +14,7 @@ from attrs import define, field
 from uoarm._dataplane._compiled_check import Accepts, compile_check, judging
 from uoarm._dataplane._failures import OutputWatch
 from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck
-from uoarm._encodable import encodable, is_encodable
+from uoarm._encodable import encodable, is_encodable, shown
 from uoarm._mistakes import Speller, mistakes
 from uoarm._support.yaml import Path, clip
 from uoarm.errors import MessageError
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
 _LOOKED_AT = 50  # mistakes; those of other items of a list that are alike are said once
 _SHOWN = 10
 _LONGEST = 300  # characters of a sentence
-_LONG = 10**40  # of these Python writes no more than 4,300 digits
 
 
 def make_check(
@@ -207,15 +205,13 @@ def _unknown(names: Iterable[object], missing: list[str], speller: Speller) -> I
 
 def _write(value: Any) -> str:
     """Put a value of a message into words; long ones are not looked at as a whole."""
-    if isinstance(value, int) and abs(value) >= _LONG:
-        return f"a whole number of {value.bit_length()} bits"
     if isinstance(value, str | int | float | None):
         return clip(value)
     if getattr(value, "ndim", 0):
         return f"an array of {' x '.join(map(str, value.shape))} {value.dtype}"
     if isinstance(value, bytes | bytearray | memoryview):
         return f"{len(value)} octets"
-    return reprlib.repr(value)
+    return shown(value)
 
 
 def _shorten(text: str) -> str:

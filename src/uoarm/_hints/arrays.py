@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, NewType, TypeAlias, get_args, get_or
 from attrs import frozen
 
 from uoarm._arguments import built_with_arguments
+from uoarm._encodable import shown
 from uoarm.errors import BridgeError, FailureReason
 
 
@@ -87,7 +88,7 @@ def truth(value: Any) -> bool:
         return value
     if type(value).__name__ in {"bool", "bool_"} and hasattr(value, "item"):  # numpy's
         return bool(value)
-    raise TypeError(f"expected true or false, got {value!r:.60}")
+    raise TypeError(f"expected true or false, got {shown(value)}")
 
 
 def integer(value: Any) -> int:
@@ -95,11 +96,11 @@ def integer(value: Any) -> int:
     if value.__class__ is int:
         return value
     if isinstance(value, bool):
-        raise TypeError(f"expected an integer, got {value!r}")
+        raise TypeError(f"expected an integer, got {shown(value)}")
     try:
         return operator.index(value)
     except TypeError:
-        raise TypeError(f"expected an integer, got {value!r:.60}") from None
+        raise TypeError(f"expected an integer, got {shown(value)}") from None
 
 
 def number(value: Any) -> float:
@@ -107,7 +108,7 @@ def number(value: Any) -> float:
     if value.__class__ is float or value.__class__ is int:
         return value
     if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
-        raise TypeError(f"expected a number, got {value!r:.60}")
+        raise TypeError(f"expected a number, got {shown(value)}")
     return float(value)
 
 
@@ -146,7 +147,7 @@ class NumpyScalar:
             made != given if self.dtype.kind in "iu" else math.isinf(made) != math.isinf(given)
         )
         if is_other:
-            raise TypeError(f"expected a number of {self.dtype}, got {value!r:.60}")
+            raise TypeError(f"expected a number of {self.dtype}, got {shown(value)}")
         return made
 
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_
 import attrs
 from typing_extensions import get_type_hints, is_typeddict
 
+from uoarm._encodable import shown
 from uoarm._hints.arrays import (
     HintError,
     OctetsMark,
@@ -389,5 +390,5 @@ def _octets(value: Any, kind: Any) -> Any:
 def _text(value: Any) -> Any:
     found = value.value if isinstance(value, Enum) else value
     if not isinstance(found, str):
-        raise TypeError(f"expected a text, got {value!r:.60}")
+        raise TypeError(f"expected a text, got {shown(value)}")
     return found

@@ -19,6 +19,7 @@ JSON_LIMIT, OCTETS_LIMIT = "x-max-json", "x-max-octets"
 _MOST_DEPTH = 32
 _MOST_PARTS = 20_000
 _OF_REAL = 17
+_MOST_DIGITS = 4300
 _TYPES = ("object", "array", "string", "integer", "number", "boolean", "null")
 _CHOICES = frozenset({"allOf", "anyOf", "oneOf", "$ref"})
 _LOGIC = frozenset({"not", "if", "maxProperties", "dependentRequired", "dependentSchemas"})
@@ -150,10 +151,10 @@ class _Walk:
 
     def _written(self, value: Any) -> Sizes:
         if self.is_json:
-            octets = len(_json(value).encode("utf-8", "surrogatepass"))
+            octets = _octets(value)
         else:
             octets = len(value.encode("utf-8", "surrogatepass")) if isinstance(value, str) else 1
-        return Sizes(octets, octets)
+        return Sizes(int(min(octets, _MOST_DIGITS)), octets)
 
 
 def _either(sizes: Iterable[Sizes]) -> Sizes:
@@ -167,7 +168,14 @@ def _number(schema: Mapping[str, Any], *, is_whole: bool) -> Sizes:
         return Sizes(1, _OF_REAL if "multipleOf" not in schema else 1)
     if low is None or high is None:
         return Sizes(1, math.inf)
-    return Sizes(1, max(len(str(int(low))), len(str(int(high)))))
+    return Sizes(1, max(_octets(int(low)), _octets(int(high))))
+
+
+def _octets(value: Any) -> float:
+    try:
+        return len(_json(value).encode("utf-8", "surrogatepass"))
+    except ValueError:  # Python writes whole numbers of 4,300 digits at most
+        return math.inf
 
 
 def _json(value: Any) -> str:

@@ -1,6 +1,7 @@
 """The bridge contract: what a framework plugin implements and what the manager may rely on."""
 
 from uoarm._backoff import Backoff, TurnCounter, Turns
+from uoarm._encodable import shown
 from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
@@ -92,6 +93,7 @@ __all__ = [
     "reading_endpoint",
     "refuse_loop",
     "renewed",
+    "shown",
     "text_of",
     "tls_fault",
 ]

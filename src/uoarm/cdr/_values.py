@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from uoarm import _encodable
 from uoarm.cdr._layout import (
     FLOAT32_MAX,
     SIZES,
@@ -41,8 +42,7 @@ class UnfitValue(Exception):  # noqa: N818 - a part of a sentence, which gets a 
 
 def shown(value: object) -> str:
     """Return a short description of a value for an error's sentence."""
-    text = f"{type(value).__name__} {value!r}"
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return f"{type(value).__name__} {_encodable.shown(value, _SHOWN)}"
 
 
 def checker(layout: NumberLayout | BooleanLayout | CharacterLayout) -> Callable[[Message], Any]:

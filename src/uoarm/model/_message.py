@@ -47,7 +47,7 @@ class MessageStructure:
     @cached_property
     def fingerprint(self) -> str:
         """A short name of the content: equal for equal structures, on every machine."""
-        text = json.dumps([self.schema, self.native_type], sort_keys=True, separators=(",", ":"))
+        text = _text([self.schema, self.native_type])
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     @property
@@ -62,6 +62,21 @@ class MessageStructure:
 
     def __hash__(self) -> int:
         return hash(self.fingerprint)
+
+
+def _text(value: Any) -> str:
+    try:
+        return json.dumps(value, sort_keys=True, separators=(",", ":"))
+    except ValueError:  # Python writes whole numbers of 4,300 digits at most in tens
+        return json.dumps(_in_hex(value), sort_keys=True, separators=(",", ":"))
+
+
+def _in_hex(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _in_hex(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_in_hex(part) for part in value]
+    return {"x": hex(value)} if value.__class__ is int else value
 
 
 class OverflowPolicy(Enum):

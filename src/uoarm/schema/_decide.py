@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 from attrs import frozen
 
+from uoarm._encodable import shown
 from uoarm.schema._errors import BudgetError, Meter, OutOfScopeError
 from uoarm.schema._values import (
     SCALARS,
@@ -269,10 +270,8 @@ def _losses_here(first: SchemaNode, second: SchemaNode, path: Path) -> list[Loss
         found.append(Loss(where, "nonfinite", _NONFINITE))
     for keyword in ("format", "contentEncoding", "contentMediaType"):
         if keyword in theirs and mine.get(keyword) != theirs[keyword]:
-            mine_says = mine.get(keyword)
-            sentence = (
-                f"the consumer says {keyword} {theirs[keyword]!r}, the producer {mine_says!r}"
-            )
+            mine_says, they_say = shown(mine.get(keyword)), shown(theirs[keyword])
+            sentence = f"the consumer says {keyword} {they_say}, the producer {mine_says}"
             found.append(Loss(where, "annotation", sentence))
     return found
 
@@ -296,26 +295,26 @@ def _along(node: SchemaNode, path: Path) -> SchemaNode | None:
 
 
 def _sentence(keyword: str, node: SchemaNode, value: Any) -> str:
-    shown = _show(value)
+    text = _show(value)
     if keyword == "required":
         missing = [name for name in node.required if name not in value]
         if len(missing) == 1:
             return f"the field {missing[0]!r} is required and may be missing"
         return f"the fields {_several(missing)} are required and may be missing"
     if keyword == "additionalProperties":
-        return f"a field may come that the consumer does not allow: {shown}"
+        return f"a field may come that the consumer does not allow: {text}"
     if keyword == "type":
-        return f"{shown} is not of a type that the consumer takes"
+        return f"{text} is not of a type that the consumer takes"
     if keyword == "enum":
-        return f"{shown} is none of the values that the consumer takes"
+        return f"{text} is none of the values that the consumer takes"
     if keyword == "nul":
-        return f"the text has the character NUL, which the consumer does not take: {shown}"
+        return f"the text has the character NUL, which the consumer does not take: {text}"
     if keyword == "units":
         units = next(units for units in _units(node) if not units.holds(value))
-        return f"{units.count(value):,} {units} are more than {units.most:,}: {shown}"
+        return f"{units.count(value):,} {units} are more than {units.most:,}: {text}"
     if keyword == "size":
-        return f"{len(value):,} parts are more or fewer than the consumer takes: {shown}"
-    return f"{shown} does not meet what the consumer demands"
+        return f"{len(value):,} parts are more or fewer than the consumer takes: {text}"
+    return f"{text} does not meet what the consumer demands"
 
 
 def _units(node: SchemaNode) -> list[CodeUnits]:
@@ -324,10 +323,10 @@ def _units(node: SchemaNode) -> list[CodeUnits]:
 
 def _several(names: list[str]) -> str:
     """Write two names or more, the first of them where there are many."""
-    shown = [repr(name) for name in names[:_MAX_NAMES]]
+    words = [repr(name) for name in names[:_MAX_NAMES]]
     if len(names) > _MAX_NAMES:
-        return f"{', '.join(shown)} and {len(names) - _MAX_NAMES:,} more"
-    return f"{', '.join(shown[:-1])} and {shown[-1]}"
+        return f"{', '.join(words)} and {len(names) - _MAX_NAMES:,} more"
+    return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _show(value: Any) -> str:
@@ -378,8 +377,7 @@ def _scalar(value: Any) -> str:
         return encode_basestring(value[: _SHOWN + 1])
     if isinstance(value, int) and value.bit_length() > _MAX_BITS:
         return f"a number of {value.bit_length():,} bits"
-    shown = value[: _SHOWN + 1] if isinstance(value, str) else value
-    return _JSON.encode(shown)
+    return _JSON.encode(value[: _SHOWN + 1] if isinstance(value, str) else value)
 
 
 def decide(producer: SchemaNode, consumer: SchemaNode, pool: Pool) -> Verdict:

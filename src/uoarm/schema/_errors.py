@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import reprlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeAlias
+
+from uoarm._encodable import shown
 
 Pointer: TypeAlias = "tuple[Pointer, str | int] | None"
 """A place in a schema, the place around it and a step; written as text only when it is shown."""
@@ -14,10 +15,6 @@ Pointer: TypeAlias = "tuple[Pointer, str | int] | None"
 
 class BudgetError(Exception):
     """The budget ran out; the text says what of it, and which part of the check took longest."""
-
-
-_SHORT = reprlib.Repr()
-_SHORT.maxstring = _SHORT.maxother = 90
 
 
 class OutOfScopeError(Exception):
@@ -28,9 +25,7 @@ class SchemaError(ValueError):
     """A malformed schema: the text says which, where (JSON pointer), what was expected."""
 
     def __init__(self, pointer: str, expected: str, got: object) -> None:
-        shown = _SHORT.repr(got)
-        shown = shown if len(shown) <= 80 else f"{shown[:77]}..."  # noqa: PLR2004 - a line's worth
-        super().__init__(f"{pointer or '#'}: expected {expected}, got {shown}")
+        super().__init__(f"{pointer or '#'}: expected {expected}, got {shown(got)}")
         self.pointer = pointer
 
 

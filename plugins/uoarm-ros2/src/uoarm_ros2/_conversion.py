@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uoarm.bridge import shown as in_words
 from uoarm.bridge import text_of
 from uoarm.cdr import FLOAT32_MAX
 from uoarm.errors import MessageError
@@ -111,8 +112,7 @@ class UnfitValueError(Exception):
 
 def shown(value: object) -> str:
     """Return a short, safe rendering of a value for an error's sentence."""
-    text = f"{type(value).__name__} {value!r}"
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return f"{type(value).__name__} {in_words(value, _SHOWN)}"
 
 
 def checker(shape: ScalarType | StringType) -> Callable[[Message], object]:

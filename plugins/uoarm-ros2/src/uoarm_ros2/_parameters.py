@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
+from uoarm.bridge import shown
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message, Options
 
@@ -57,7 +58,7 @@ def flattened(parameters: Options) -> dict[str, object]:
     for name, value in found.items():
         if _kind_of(value) is None and value != []:
             expected = "a boolean, a number, a text or a list of one of these"
-            raise ValueError(f"parameter {name}: expected {expected}, got {value!r:.80}")
+            raise ValueError(f"parameter {name}: expected {expected}, got {shown(value)}")
     return found
 
 
@@ -88,7 +89,7 @@ def value_for(value: object, descriptor: Mapping[str, Any]) -> Message:
         raise ValueError("of an empty list the node does not say what it would hold")
     value = _listed(value)
     if not _TAKES[kind](value):
-        raise ValueError(f"expected {_WORDS[kind]}, got {value!r:.80}")
+        raise ValueError(f"expected {_WORDS[kind]}, got {shown(value)}")
     _in_range(value, descriptor)
     return {"type": kind, **_EMPTY, _FIELDS[kind]: _as_sent(kind, value)}
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from attrs import field, frozen
 
-from uoarm.bridge import install_command, text_of
+from uoarm.bridge import install_command, shown, text_of
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
 from uoarm_ros2._message_file import (
@@ -326,4 +326,4 @@ def _checked(kind: str, name: str, value: object) -> object:
     elif isinstance(value, bool if kind == "bool" else str):
         return value
     wanted = kind if limits is None else f"{kind}, {limits[0]} to {limits[1]}"
-    raise ValueError(f"constant {name}: expected a value of {wanted}, got {value!r:.100}")
+    raise ValueError(f"constant {name}: expected a value of {wanted}, got {shown(value)}")

@@ -21,6 +21,7 @@ import _omnipy
 from attrs import field, frozen
 from omniORB import tcInternal
 
+from uoarm.bridge import shown
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm_rtm._compiler import Stubs
@@ -326,7 +327,7 @@ def _natives(parts: Sequence[_Parameter], message: Message, what: str) -> list[A
     names = [part.name for part in parts]
     if not isinstance(message, Mapping) or set(message) != set(names):
         expected = ", ".join(names) or "no fields"
-        raise MessageError(f"{what}: expected an object with {expected}, got {message!r:.80}")
+        raise MessageError(f"{what}: expected an object with {expected}, got {shown(message)}")
     natives = []
     for part in parts:
         try:

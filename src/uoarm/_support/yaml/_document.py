@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 from attrs import define, field, frozen
 
-from uoarm._encodable import encodable
+from uoarm._encodable import encodable, shown
 
 _SHOWN = 60
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
@@ -55,9 +55,14 @@ def clip(value: object) -> str:
     """Write a value as JSON on one line, cut where it is long."""
     if value is None:
         return "nothing"
+    if value.__class__ is int:
+        return shown(value, _SHOWN)
     if isinstance(value, str) and len(value) > _SHOWN:
         value = f"{value[:_SHOWN]}..."
-    text = encodable(json.dumps(value, ensure_ascii=False, default=str))
+    try:
+        text = encodable(json.dumps(value, ensure_ascii=False, default=str))
+    except ValueError:  # a number that is too long to be written, or an object in itself
+        return shown(value, _SHOWN)
     return text if len(text) <= _SHOWN + 5 else f"{text[:_SHOWN]}..."
 
 
@@ -68,7 +73,10 @@ def write_path(path: tuple[str | int, ...]) -> str:
 
 def write_flow(value: object) -> str:
     """Write a value as YAML in one line: as JSON, but for characters that only YAML escapes."""
-    text = json.dumps(value, ensure_ascii=False)
+    try:
+        text = json.dumps(value, ensure_ascii=False)
+    except ValueError:  # a number that is too long to be written in tens
+        text = json.dumps(shown(value), ensure_ascii=False)
     return "".join(
         character if character.isprintable() else f"\\U{ord(character):08x}" for character in text
     )

@@ -11,6 +11,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Sequence
 from typing import TypeAlias
 
+from uoarm._encodable import shown
 from uoarm.schema._errors import Meter
 from uoarm.schema.regex._nfa import CLASSES, CharSet
 from uoarm.schema.regex._parser import compile_pattern
@@ -130,7 +131,7 @@ def _counted(
 
 def _check_length(length: int) -> None:
     if length > MAX_TEXT:
-        raise TooLong(f"the shortest text has {length:,} characters")
+        raise TooLong(f"the shortest text has {shown(length)} characters")
 
 
 class _Search:

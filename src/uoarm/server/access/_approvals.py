@@ -17,6 +17,7 @@ from typing import Any
 import orjson
 from attrs import evolve, field, frozen
 
+from uoarm._encodable import shown
 from uoarm.errors import MessageError
 from uoarm.model import Component, Function, Message, Plan, Robot, to_json
 from uoarm.server.access._role import AccessRole, Audit, DeniedError, Operation
@@ -113,7 +114,7 @@ class ApprovalEnvelope:
             return f"count: expected 1 to {_MOST_COUNT:,}, got {self.count}"
         rate = 1.0 if self.rate is None else self.rate
         if not 0 < rate < math.inf or not _has_64_bits(rate):
-            return f"rate: expected a positive number of times a second, got {rate!r:.50}"
+            return f"rate: expected a positive number of times a second, got {shown(rate)}"
         for path, (least, greatest) in self.ranges.items():
             if not -math.inf < least <= greatest < math.inf:
                 return f"ranges.{path}: expected two numbers, the least first"
@@ -132,7 +133,7 @@ class ApprovalEnvelope:
         for path, (least, greatest) in self.ranges.items():
             value = _at(wanted, path)
             if not _is_number(value) or not least <= value <= greatest:
-                return f"{path}: expected a number of {least} to {greatest}, got {value!r:.50}"
+                return f"{path}: expected a number of {least} to {greatest}, got {shown(value)}"
             moved = _with(moved, path, _at(allowed, path))
         return "" if digest_of(moved) == digest_of(allowed) else "they are not those approved"
 

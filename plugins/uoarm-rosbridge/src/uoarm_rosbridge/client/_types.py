@@ -18,6 +18,7 @@ import numpy as np
 import pybase64
 from attrs import field, frozen
 
+from uoarm.bridge import shown
 from uoarm.cdr import BASIC, FLOAT32_MAX, number_schema
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
@@ -235,13 +236,9 @@ def _range(kind: str) -> tuple[int, int]:
     return schema["minimum"], schema["maximum"]
 
 
-def _shown(value: object) -> str:
-    text = f"{type(value).__name__} {value!r}"
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-
-
 def _misfit(path: str, expected: str, value: object) -> MessageError:
-    return MessageError(f"{path}: expected {expected}, got {_shown(value)}")
+    got = f"{type(value).__name__} {shown(value, _SHOWN)}"
+    return MessageError(f"{path}: expected {expected}, got {got}")
 
 
 @lru_cache(maxsize=1024)
