@@ -116,13 +116,19 @@ class Agents:
         self, tool: str, arguments: Mapping[str, Any], name: str = "agent"
     ) -> httpx2.Response:
         """Return the whole answer to a call of a tool, in a request of its own."""
+        body, headers = self.request("tools/call", tool, name, name=tool, arguments=dict(arguments))
+        return httpx2.post(self.url, json=body, headers=headers, timeout=patience())
+
+    def request(
+        self, method: str, on: str, client: str = "agent", **parameters: Any
+    ) -> tuple[dict[str, Any], dict[str, str]]:
+        """Return the body and headers of a request on a tool or resource."""
         body = {
             "jsonrpc": "2.0",
             "id": 1,
-            "method": "tools/call",
+            "method": method,
             "params": {
-                "name": tool,
-                "arguments": dict(arguments),
+                **parameters,
                 "_meta": {
                     "io.modelcontextprotocol/protocolVersion": "2026-07-28",
                     "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
@@ -131,13 +137,13 @@ class Agents:
             },
         }
         headers = {
-            "Authorization": f"Bearer {self._tokens[name]}",
+            "Authorization": f"Bearer {self._tokens[client]}",
             "Accept": "application/json, text/event-stream",
             "mcp-protocol-version": "2026-07-28",
-            "mcp-method": "tools/call",
-            "mcp-name": tool,
+            "mcp-method": method,
+            "mcp-name": on,
         }
-        return httpx2.post(self.url, json=body, headers=headers, timeout=patience())
+        return body, headers
 
     def facts(
         self, tool: str, arguments: Mapping[str, Any] | None = None, name: str = "agent"

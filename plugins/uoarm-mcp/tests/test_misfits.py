@@ -14,7 +14,8 @@ import pytest
 from agents import TOKENS, Agents
 from components import script
 from mcp.client.client import Client
-from uoarm_mcp import _catalogue
+from mcp_types import ResourceLink
+from uoarm_mcp import _catalogue, _http
 from uoarm_mcp._catalogue import Catalogue, CatalogueMaker
 
 from uoarm import RobotManager
@@ -22,7 +23,7 @@ from uoarm.model import Plan
 from uoarm.server import Limits
 from uoarm.server.front_end import AccessRole
 from uoarm.server.streams import FeedRegistry
-from uoarm.testing import patience, slowness
+from uoarm.testing import patience, slowness, wait
 
 MISFITS = 10_000 if os.environ.get("HYPOTHESIS_PROFILE") == "long" else 1_000
 BATCH = 16
@@ -131,6 +132,43 @@ def test_heads_and_requests_sent_ahead_are_bounded(agents: Agents, octets: bytes
     ):
         _send_on(connection, octets)
     assert agents.facts("add", {"a": 1, "b": 2})["result"] == {"value": 3}
+
+
+def test_a_later_head_comes_in_time_too(serve: Any, access: Any) -> None:
+    server = serve(Limits(handshake_seconds=slowness() * 0.5), access=access)
+    address = "127.0.0.1", server.ports[1]
+    with socket.create_connection(address, timeout=patience()) as connection:
+        token = f"Authorization: Bearer {TOKENS['agent']}"
+        connection.sendall(f"GET /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\n{token}\r\n\r\n".encode())
+        assert connection.recv(65_536).startswith(b"HTTP/1.1 406")
+        connection.sendall(b"POST /mcp HT")
+        while connection.recv(65_536):
+            """Read what is left of the answer, until the connection is cut."""
+
+
+def test_who_does_not_read_an_answer_is_cut(
+    serve: Any, access: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost: list[Exception | None] = []
+
+    class Noting(_http._BoundedProtocol):
+        def connection_lost(self, exc: Exception | None) -> None:
+            if self.cycle.scope["method"] == "POST":
+                lost.append(exc)
+            super().connection_lost(exc)
+
+    monkeypatch.setattr(_http, "_BoundedProtocol", Noting)
+    server = serve(Limits(stall_seconds=slowness() * 0.1), access=access)
+    with Agents(server.ports, TOKENS) as agents, socket.socket() as connection:
+        kept = agents.call("many", {"count": 1_000_000}).content[1]
+        assert isinstance(kept, ResourceLink)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.connect(agents.address)
+        body, headers = agents.request("resources/read", kept.uri, uri=kept.uri)
+        request = httpx2.Request("POST", agents.url, json=body, headers=headers)
+        lines = "".join(f"{name}: {value}\r\n" for name, value in request.headers.items())
+        connection.sendall(f"POST /mcp HTTP/1.1\r\n{lines}\r\n".encode() + request.read())
+        wait(lambda: lost, "it is cut")
 
 
 def test_who_has_no_token_or_is_a_strange_page_is_not_let_in(agents: Agents) -> None:

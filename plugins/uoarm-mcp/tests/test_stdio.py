@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import re
+import select
 import signal
 import socket
 import subprocess
@@ -22,9 +23,11 @@ from click.testing import CliRunner
 from components import CONFIGURATION
 from mcp.client.client import Client
 from mcp.client.stdio import StdioServerParameters, stdio_client
+from uoarm_mcp import _command
 
 from uoarm.cli import main
 from uoarm.client import connect
+from uoarm.model import Budget
 from uoarm.server import fingerprint_of
 from uoarm.testing import patience, wait
 
@@ -192,8 +195,10 @@ def test_what_is_too_long_or_no_message_is_left_out(tmp_path: Path, access: Path
         (b"[" * 200, -32600, "nested more than 64 levels deep"),
         (b"[" + b"0," * 510_000 + b"0]", -32600, "more than 500,000 values"),
         (b"x" * 3_000_000, -32700, "1,048,576 octets at most"),
+        (b'{"jsonrpc": "2.0", "id": 1.5, "method": "ping"}', -32600, "string or a whole number"),
+        (b'{"jsonrpc": "2.0", "id": null, "method": "ping"}', -32600, "string or a whole number"),
     ],
-    ids=["half", "no message", "half a character", "deep", "wide", "long"],
+    ids=["half", "no message", "half a character", "deep", "wide", "long", "real id", "no id"],
 )
 def test_a_line_that_is_no_message_is_answered(
     tmp_path: Path, access: Path, line: bytes, code: int, reason: str
@@ -218,6 +223,52 @@ def test_an_agent_that_reads_nothing_holds_up_no_person(tmp_path: Path, access: 
             ask(process, number, {"a": 1, "b": 2})
         assert asyncio.run(asyncio.wait_for(approvals(url), patience())) == []
         assert sorted(answer(process)["id"] for _ in range(200)) == list(range(200))
+
+
+def test_a_signal_ends_it_though_its_client_reads_nothing(tmp_path: Path, access: Path) -> None:
+    with started(tmp_path, access) as (process, _):
+        assert process.stdin is not None
+        body = {"jsonrpc": "2.0", "id": 1, "method": "tools/list", "params": {"_meta": META}}
+        line = json.dumps(body).encode() + b"\n"
+        os.set_blocking(process.stdin.fileno(), False)
+        answers = 10_000_000 // 20_000  # more octets than may wait
+        sent = 0
+        while sent < answers * len(line):
+            rest = line[sent % len(line) :] + line
+            if select.select([], [process.stdin], [], 1)[1]:
+                sent += os.write(process.stdin.fileno(), rest)
+            else:
+                break  # it takes no more
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(patience()) == 0
+
+
+async def test_while_many_answers_wait_no_line_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_command, "_MOST_WAITING_OCTETS", 1)
+    monkeypatch.setattr(_command, "_DRAIN_SECONDS", 0)
+    (incoming, going), (coming, outgoing) = os.pipe(), os.pipe()
+    written = _command._OutputLines(outgoing)
+    written.put("x" * 1_000_000)  # more than a pipe holds
+    lines = _command._InputLines(incoming, Budget(1000, 1000, 10, 2), written)
+    os.write(going, b'{"jsonrpc": "2.0", "method": "a"}\n{\n')
+    taken = aiter(lines)
+    first = asyncio.ensure_future(anext(taken))
+    while len(lines._lines) < 2:
+        await written.change()
+    await asyncio.sleep(0)
+    assert not first.done()
+    lines.end()
+    assert "method" in await first
+    assert await anext(taken, None) is None
+    await written.write("more")
+    os.close(going)
+    unread = 1_000_000
+    while unread:
+        unread -= len(os.read(coming, unread))
+    written.drain()
+    os.close(coming)
+    os.close(incoming)
+    os.close(outgoing)
 
 
 @pytest.mark.parametrize(

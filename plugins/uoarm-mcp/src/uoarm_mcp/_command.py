@@ -21,7 +21,12 @@ from typing import Any, cast
 import orjson
 from anyio import AsyncFile
 from mcp.server.stdio import stdio_server
-from mcp_types import INVALID_REQUEST, PARSE_ERROR, jsonrpc_message_adapter
+from mcp_types import (
+    INVALID_REQUEST,
+    PARSE_ERROR,
+    JSONRPCNotification,
+    jsonrpc_message_adapter,
+)
 from pydantic import ValidationError
 
 from uoarm import RobotManager
@@ -216,7 +221,7 @@ class _InputLines:
 
     `os.read` holds no lock of a file object: the interpreter can end while the thread waits in it.
     A line that is no message, or costs more than its budget, is answered here: the SDK leaves it
-    out, and its client would wait.
+    out, and its client would wait. None is taken while as many answers wait as may.
     """
 
     def __init__(self, descriptor: int, budget: Budget, answers: _OutputLines) -> None:
@@ -225,20 +230,19 @@ class _InputLines:
         self._answers = answers
         self._loop = asyncio.get_running_loop()
         self._lines: deque[str | None] = deque()
-        self._came = asyncio.Event()
         self._room = threading.Semaphore(_MOST_LINES)  # lines that the loop has not taken yet
         threading.Thread(target=self._read, name="uoarm-mcp-stdin", daemon=True).start()
 
     def end(self) -> None:
         """Have the input end here, whatever else comes. In the loop's thread. Idempotent."""
-        self._lines.append(None)
-        self._came.set()
+        self._take(None)
+        # The answers that wait have a moment; a client that does not read holds up no end.
+        self._loop.call_later(_DRAIN_SECONDS, self._answers.give_up)
 
     async def __aiter__(self) -> AsyncIterator[str]:
         while True:
-            while not self._lines:
-                self._came.clear()
-                await self._came.wait()
+            while not self._lines or self._answers.are_many:
+                await self._answers.change()
             line = self._lines.popleft()
             if line is None:
                 return
@@ -247,13 +251,13 @@ class _InputLines:
             if error is None:
                 yield line
             else:
-                await self._answers.write(f"{orjson.dumps(error).decode()}\n")
+                self._answers.put(f"{orjson.dumps(error).decode()}\n")
 
     def _error(self, line: str) -> Mapping[str, Any] | None:
         """Return the answer to what is no message, None where it is one."""
         try:
             scan_json(line, BudgetUse(self._budget))
-            jsonrpc_message_adapter.validate_json(line, by_name=False)
+            message = jsonrpc_message_adapter.validate_json(line, by_name=False)
         except ControlMessageError as refused:
             code, text = INVALID_REQUEST, str(refused)
         except ValidationError as refused:
@@ -261,7 +265,10 @@ class _InputLines:
             code = INVALID_REQUEST if is_json else PARSE_ERROR
             text = f"expected one message of JSON-RPC in a line of {_LINE_OCTETS:,} octets at most"
         else:
-            return None
+            if not isinstance(message, JSONRPCNotification) or "id" not in orjson.loads(line):
+                return None
+            # Read as a notification, it would have no answer.
+            code, text = INVALID_REQUEST, "an id is a string or a whole number"
         return {"jsonrpc": "2.0", "id": None, "error": {"code": code, "message": text}}
 
     def _read(self) -> None:
@@ -295,34 +302,57 @@ class _InputLines:
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._take, line)
 
-    def _take(self, line: str) -> None:
+    def _take(self, line: str | None) -> None:
         self._lines.append(line)
-        self._came.set()
+        self._answers.changed.set()
 
 
 class _OutputLines:
     """Writes to a descriptor in a daemon thread; what waits is bounded.
 
-    So a client that does not read holds up nothing but its own answers.
+    So a client that does not read holds up nothing but its own requests and answers.
+
+    Attributes:
+        changed: set when something was written, and by the input when something came.
     """
 
     def __init__(self, descriptor: int) -> None:
+        self.changed = asyncio.Event()
         self._descriptor = descriptor
         self._loop = asyncio.get_running_loop()
         self._waiting: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._octets = 0  # that wait; in the loop's thread alone
-        self._room = asyncio.Event()
+        self._is_given_up = False
         self._thread = threading.Thread(target=self._write, name="uoarm-mcp-stdout", daemon=True)
         self._thread.start()
 
+    @property
+    def are_many(self) -> bool:
+        """Whether more octets wait than may; what is given up waits for no one."""
+        return self._octets > _MOST_WAITING_OCTETS and not self._is_given_up
+
+    async def change(self) -> None:
+        """Wait until something was written, or came."""
+        self.changed.clear()
+        await self.changed.wait()
+
     async def write(self, text: str) -> None:
         """Have a text written after those before it."""
-        while self._octets > _MOST_WAITING_OCTETS:
-            self._room.clear()
-            await self._room.wait()
-        data = text.encode()
-        self._octets += len(data)
-        self._waiting.put(data)
+        while self.are_many:
+            await self.change()
+        self.put(text)
+
+    def put(self, text: str) -> None:
+        """Have a text written, however many wait."""
+        if not self._is_given_up:
+            data = text.encode()
+            self._octets += len(data)
+            self._waiting.put(data)
+
+    def give_up(self) -> None:
+        """Leave out what comes from now on, so that no writer waits. Idempotent."""
+        self._is_given_up = True
+        self.changed.set()
 
     async def flush(self) -> None:
         """Do nothing: nothing is held back."""
@@ -346,4 +376,4 @@ class _OutputLines:
 
     def _written(self, octets: int) -> None:
         self._octets -= octets
-        self._room.set()
+        self.changed.set()

@@ -327,10 +327,11 @@ async def _answer(send: _Send, status: int, text: str) -> None:
 
 
 class _BoundedProtocol(HttpToolsProtocol):
-    """HTTP/1.1 whose first request must come in time, and which knows the client's certificate.
+    """HTTP/1.1 whose heads come in time and whose answers are read; it knows the certificate.
 
-    The parser keeps heads of any length and requests sent ahead of any number; both are bounded
-    here, where a connection that goes beyond is cut.
+    The parser keeps heads of any length and requests sent ahead of any number, and waits for the
+    rest of a head, and for a client that does not read, for ever. All are bounded here, where a
+    connection that goes beyond is cut.
     """
 
     def __init__(self, limits: Limits, *arguments: Any, **options: Any) -> None:
@@ -338,6 +339,7 @@ class _BoundedProtocol(HttpToolsProtocol):
         self._limits = limits
         self._head_octets = 0  # came since the last request was whole, and were no body
         self._late: asyncio.TimerHandle | None = None
+        self._unread: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
@@ -348,21 +350,27 @@ class _BoundedProtocol(HttpToolsProtocol):
         app = self.app
 
         async def certified(scope: Any, receive: Any, send: Any) -> None:
-            if self._late is not None:
-                self._late.cancel()
-                self._late = None
             await app({**scope, _CERTIFICATE: certificate}, receive, send)
 
         self.app = certified
-        self._late = asyncio.get_running_loop().call_later(
-            self._limits.handshake_seconds, transport.abort
-        )
+        self._await_head()
 
     def data_received(self, data: bytes) -> None:
         self._head_octets += len(data)
         super().data_received(data)
         if self._head_octets > _HEAD_OCTETS or len(self.pipeline) > _MOST_AHEAD:
             self.transport.abort()
+
+    def on_message_begin(self) -> None:
+        super().on_message_begin()
+        if self._late is None:
+            self._await_head()
+
+    def on_headers_complete(self) -> None:
+        if self._late is not None:
+            self._late.cancel()
+            self._late = None
+        super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
         self._head_octets -= len(body)
@@ -372,10 +380,47 @@ class _BoundedProtocol(HttpToolsProtocol):
         self._head_octets = 0
         super().on_message_complete()
 
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._await_reader()
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._await_reader()
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._await_reader()
+
     def connection_lost(self, exc: Exception | None) -> None:
-        if self._late is not None:
-            self._late.cancel()
+        for timer in (self._late, self._unread):
+            if timer is not None:
+                timer.cancel()
         super().connection_lost(exc)
+
+    def _await_head(self) -> None:
+        self._late = self.loop.call_later(self._limits.handshake_seconds, self._cut_late)
+
+    def _cut_late(self) -> None:
+        if self.flow.read_paused:  # the rest may have come, and is taken after requests before it
+            self._await_head()
+        else:
+            self.transport.abort()
+
+    def _await_reader(self) -> None:
+        """Cut the connection if nothing of what waits now is read: while much waits, none comes."""
+        if self._unread is not None:
+            self._unread.cancel()
+        left = self.transport.get_write_buffer_size()
+        self._unread = None
+        if left:
+            self._unread = self.loop.call_later(self._limits.stall_seconds, self._cut_unread, left)
+
+    def _cut_unread(self, left: int) -> None:
+        if self.transport.get_write_buffer_size() >= left:
+            self.transport.abort()
+        else:
+            self._await_reader()
 
 
 class _QuietServer(uvicorn.Server):

@@ -8,8 +8,8 @@ from __future__ import annotations
 import asyncio
 import base64
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
 from typing import Any
@@ -168,24 +168,34 @@ class Agent:
             if name not in catalogue.tools:
                 known = catalogue.left_out.get(name, "")
                 raise UnknownError(f"there is no tool {name!r:.200}{known and f': {known}'}")
-        if self._under_way >= self.client.limits.calls and name not in _ALWAYS:
-            refusal = LimitError(f"{self._under_way} calls are under way; wait for one of them")
-            return failed(failure_text(refusal))
-        self._under_way += 1
         try:
-            if name in self._robot_tools:
-                return succeeded(await self._robot_tools.call(name, arguments))
-            made = catalogue.tools[name]
-            self.client.require(made.operation, made.function)
-            if made.kind is ToolKind.READ:
-                return await self._read_stream(made, arguments)
-            return await self._actions.act(made, arguments)
+            with self.working(is_refused=name not in _ALWAYS):
+                if name in self._robot_tools:
+                    return succeeded(await self._robot_tools.call(name, arguments))
+                made = catalogue.tools[name]
+                self.client.require(made.operation, made.function)
+                if made.kind is ToolKind.READ:
+                    return await self._read_stream(made, arguments)
+                return await self._actions.act(made, arguments)
         except UoarmError as error:
             if isinstance(error, UnknownError) and name not in self._robot_tools:
                 raise
             return failed(self.view.text(failure_text(error), str(arguments)))
         except Exception as error:  # noqa: BLE001 - the agent gets an answer, the log the cause
             return failed(failure_text(error))
+
+    @contextmanager
+    def working(self, *, is_refused: bool = True) -> Iterator[None]:
+        """Count what a request does as under way.
+
+        Raises:
+            LimitError: as many as may are, unless it is never refused.
+        """
+        if is_refused and self._under_way >= self.client.limits.calls:
+            raise LimitError(f"{self._under_way} calls are under way; wait for one of them")
+        self._under_way += 1
+        try:
+            yield
         finally:
             self._under_way -= 1
 
@@ -405,7 +415,8 @@ class AgentService:
         agent, uri = self._agent(context), str(params.uri)
         found = agent.kept.find(uri)
         try:
-            kind, octets = found or await agent.latest(uri)
+            with agent.working():
+                kind, octets = found or await agent.latest(uri)
         except UoarmError as error:
             text = agent.view.text(failure_text(error), uri)
             raise MCPError(INVALID_PARAMS, text, {"uri": uri}) from None
@@ -434,7 +445,8 @@ class AgentService:
                 await session.send_resource_updated(uri)
 
         try:
-            self._subscribed[key] = await self._watch(agent, uri, send)
+            with agent.working():
+                self._subscribed[key] = await self._watch(agent, uri, send)
         except UoarmError as error:
             raise MCPError(INVALID_PARAMS, failure_text(error)) from None
         if _SUBSCRIBES not in connection.state:
