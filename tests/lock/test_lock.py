@@ -221,6 +221,21 @@ def test_a_schema_that_is_no_json_is_named(tmp_path: Path) -> None:
     assert "Order.schema: expected JSON, got what is no JSON" in checked.output
 
 
+def test_a_type_that_two_files_define_otherwise_is_not_guessed(tmp_path: Path) -> None:
+    locked(tmp_path / "a")
+    new = tmp_path / "new"
+    for folder, unit in (("old", "Cel"), ("now", "[degF]")):
+        (new / folder).mkdir(parents=True)
+        (new / folder / "Reading.schema").write_text(json.dumps({"x-unit": unit}))
+        (new / folder / "Else.schema").write_text(json.dumps({"x-unit": unit}))
+    checked = run(tmp_path / "a", "--check", "--against", str(new))
+    assert checked.exit_code == 3
+    names = [str(new / folder / "Reading.schema") for folder in ("now", "old")]
+    assert f"{names[0]} and {names[1]} define Reading otherwise" in checked.output
+    (new / "old" / "Reading.schema").unlink()
+    assert run(tmp_path / "a", "--check", "--against", str(new)).exit_code == 1
+
+
 @pytest.mark.parametrize("words", [("lock", "--lock"), ("types", "--python", "-o")])
 def test_no_configuration_is_written_over(tmp_path: Path, words: tuple[str, ...]) -> None:
     file = str(robot(tmp_path) / "robot.yaml")

@@ -316,16 +316,23 @@ def read_schemas(folder: Path, lock: Lock, *, is_installed: bool = False) -> dic
         raise LockError(
             f"{folder}: expected 1 to {_MOST_FILES:,} files of {kinds}, got {len(paths):,}"
         )
+    types = set().union(*_names_of_types(lock))
     found: dict[str, Any] = {}
+    places: dict[str, Path] = {}
     defined_beside = {path.with_suffix("") for path in paths if path.suffix not in _SCHEMAS}
     for path in paths:
         # What an installed package has beside a definition describes it, and is no schema.
         if path.suffix not in _SCHEMAS or path.with_suffix("") in defined_beside:
             continue
         schema = read_json(path)
-        if isinstance(schema, dict):
-            names = (path.stem, schema.get("title"), name_of_type(schema.get("x-type")))
-            found |= {name: schema for name in names if isinstance(name, str) and name}
+        if not isinstance(schema, dict):
+            continue
+        for name in (path.stem, schema.get("title"), name_of_type(schema.get("x-type"))):
+            if not isinstance(name, str) or not name:
+                continue
+            if name in types and schema != found.get(name, schema):
+                raise LockError(f"{folder}: {places[name]} and {path} define {name} otherwise")
+            found[name], places[name] = schema, path
     left = {path.suffix for path in paths} - _SCHEMAS
     for format_, point in formats:
         if format_.suffixes & left:
@@ -343,12 +350,16 @@ def read_schemas(folder: Path, lock: Lock, *, is_installed: bool = False) -> dic
 
 def uncompared_types(lock: Lock, schemas: Mapping[str, Any]) -> list[str]:
     """Return the types of a lock that are not among schemas, and so are not compared."""
-    names = {
+    return sorted(min(name) for name in _names_of_types(lock) if name and name.isdisjoint(schemas))
+
+
+def _names_of_types(lock: Lock) -> set[frozenset[str]]:
+    """Return the names of each type of a lock."""
+    return {
         frozenset({structure.native_type, name_of_type(structure.structure.get("x-type"))} - {""})
         for structure in lock.structures.values()
         if isinstance(structure.structure, Mapping)
     }
-    return sorted(min(name) for name in names if name and name.isdisjoint(schemas))
 
 
 def _formats() -> list[tuple[DefinitionFormat, EntryPoint]]:
