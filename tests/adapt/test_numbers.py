@@ -274,3 +274,31 @@ def test_values_of_any_kind_are_written_in_words() -> None:
     for write in (clip, shown, cdr_values.shown):
         for value in (LONG, [LONG], {"a": (LONG,)}):
             assert "a whole number of 16,610 bits" in write(value)
+
+
+@pytest.mark.parametrize("number", [1e10, -1e10])
+def test_a_number_that_scaling_makes_infinite_is_refused(number: float) -> None:
+    rows = {"type": "array", "items": {"type": "number"}}
+    field = adapt(parse({"a": {"from": "a", "scale": 1e300}}), closed(a={"type": "number"}), ANY)
+    row = adapt(parse({"a": {"from": "a", "scale": 1e300}}), closed(a=rows), ANY)
+    for make, value in (
+        (field.make, number),
+        (field.make, np.float64(number)),
+        (row.make, [1.0, number]),
+        (row.make, np.array([1.0, number])),
+        (row.make, np.array([1, int(number)])),
+    ):
+        with pytest.raises(MessageError, match="a: a scaled number is beyond those of a float"):
+            make({"a": value})
+    for value in (np.inf, -np.inf):  # as it came: what its producer may emit is another question
+        assert field.make({"a": value})["a"] == value
+        assert row.make({"a": np.array([value, np.nan, 1.0])})["a"][0] == value
+
+
+def test_what_would_be_infinite_may_be_clamped() -> None:
+    rule = {"from": "a", "scale": 1e300, "clamp": [0, 9]}
+    make = adapt(
+        parse({"a": rule}), closed(a={"type": "array", "items": {"type": "number"}}), ANY
+    ).make
+    assert make({"a": [1e10, 0.0]})["a"] == [9, 0]
+    assert make({"a": np.array([1e10, 0.0])})["a"].tolist() == [9, 0]

@@ -197,7 +197,8 @@ def _value(value: Mapped | ArrayMapping, source: Structure) -> tuple[SchemaField
         schema, change = _enumerated(value.enum, source, schema, value.source)
         changes.append(change)
     if value.scale is not None:
-        schema, change = scaled(value.scale, source, schema, value.source)
+        is_last = value.clamp is None
+        schema, change = scaled(value.scale, source, schema, value.source, is_last=is_last)
         changes.append(change)
     if value.clamp is not None:
         schema, change = clamped(value.clamp, source, schema, value.source)

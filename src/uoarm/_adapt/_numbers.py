@@ -7,6 +7,7 @@ whatever the width of the array that they come in.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias
 
@@ -17,10 +18,15 @@ from uoarm.errors import MessageError
 Maker: TypeAlias = Callable[[Any], Any]
 _MAX_LEVELS = 12
 _WIDTHS = (16, 32, 64)
+_INFINITE = (math.inf, -math.inf)
 
 
-def scaled(scale: Scale, source: Structure, schema: Any, path: Path) -> tuple[Any, Maker]:
+def scaled(
+    scale: Scale, source: Structure, schema: Any, path: Path, *, is_last: bool
+) -> tuple[Any, Maker]:
     """Return the schema of scaled numbers, or arrays of them, and what makes them.
+
+    What becomes infinite is refused where it is the last: JSON has no such numbers.
 
     Raises:
         UnfitError: there is something else at that path.
@@ -37,7 +43,7 @@ def scaled(scale: Scale, source: Structure, schema: Any, path: Path) -> tuple[An
         if "x-unit" in kept:
             kept[SCALED] = (scale.factor, scale.offset)
         made = {"type": "integer" if is_whole else "number", **bounds, **kept}
-        return made, *_scalers(scale, write_path(path))
+        return made, *_scalers(scale, write_path(path), is_last=is_last)
 
     return _of_numbers(change, source, schema, path, "scale and offset need")
 
@@ -100,22 +106,32 @@ def _in_array(make: Maker, make_array: Maker) -> Maker:
     return apply
 
 
-def _scalers(scale: Scale, where: str) -> tuple[Maker, Maker]:
+def _scalers(scale: Scale, where: str, *, is_last: bool) -> tuple[Maker, Maker]:
     """Return what scales a number, and what scales an array of numpy; None: not exactly."""
     factor, offset = scale.factor, scale.offset
+    beyond = f"{where}: a scaled number is beyond those of a float"
 
     def number(value: Any) -> Any:
         if hasattr(value, "dtype"):  # of numpy, whose own numbers wrap
             value = value.item()
         try:
-            return value * factor + offset
+            made = value * factor + offset
         except OverflowError:
-            raise MessageError(f"{where}: a scaled number is beyond those of a float") from None
+            raise MessageError(beyond) from None
+        if is_last and made in _INFINITE and value not in _INFINITE:
+            raise MessageError(beyond)
+        return made
 
     def array(value: Any) -> Any:
         kind = value.dtype.kind
         if kind == "f" or (kind in "iu" and isinstance(factor, float)):
-            return value.astype("float64") * float(factor) + float(offset)
+            numpy = sys.modules["numpy"]  # whose array it is
+            with numpy.errstate(over="ignore"):
+                made = value.astype("float64") * float(factor) + float(offset)
+            are_numbers = not is_last or numpy.isfinite(made).all()
+            if not are_numbers and (numpy.isinf(made) & numpy.isfinite(value)).any():
+                raise MessageError(beyond)
+            return made
         if kind in "iu" and value.size:
             # By the width first, which needs no look at the numbers.
             for least, most in (_limits(value.dtype), (int(value.min()), int(value.max()))):
