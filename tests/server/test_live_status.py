@@ -13,9 +13,14 @@ from pathlib import Path
 
 from click.testing import CliRunner
 from tests.host import joined as machines
+from tests.redirects import redirecting
 from tests.server.robot import END, script
+from websockets.datastructures import Headers
+from websockets.exceptions import InvalidStatus, InvalidURI
+from websockets.http11 import Response
 
 from uoarm import RobotManager
+from uoarm.bridge import redirection
 from uoarm.cli import main
 from uoarm.server import Server, ServerOptions, serve_in_thread
 from uoarm.server.access import AccessRole, Operation, RoleViews
@@ -66,6 +71,23 @@ def test_a_server_that_is_not_there_is_named() -> None:
     shown = CliRunner().invoke(main, ["status", "--url", "ws://127.0.0.1:1/"])
     assert shown.exit_code == 4
     assert "ws://127.0.0.1:1/: nothing listens there: is uoarm serve running?" in shown.output
+
+
+def test_a_redirection_is_said_with_what_to_do() -> None:
+    with redirecting("http://robot.example/ros/") as place:
+        shown = CliRunner().invoke(main, ["status", "--url", place])
+    assert shown.exit_code == 4
+    assert f"{place}: it redirects: give ws://robot.example/ros/ as the address" in shown.output
+
+
+def test_a_redirection_within_the_server_that_a_library_does_not_follow_is_said() -> None:
+    for location in ("/ros/", "ws://a:1/ros/", "http://a:1/ros/"):
+        error = InvalidStatus(Response(301, "", Headers(Location=location)))
+        assert (
+            redirection(error, "ws://a:1/ros") == "it redirects: give ws://a:1/ros/ as the address"
+        )
+    assert redirection(InvalidStatus(Response(404, "", Headers())), "ws://a:1/ros") == ""
+    assert redirection(InvalidURI("ftp://a", "no"), "ftp://a") == ""
 
 
 def test_what_is_no_address_of_a_server_is_wrong_usage() -> None:

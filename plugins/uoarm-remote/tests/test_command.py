@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from robots import ServedRobot, fleet
 from tests.processes import run_python  # type: ignore[import-not-found]
+from tests.redirects import redirecting  # type: ignore[import-not-found]
 from uoarm_remote._link import why_unreachable
 
 from uoarm.server import ServerOptions, serve_in_thread
@@ -79,11 +80,20 @@ def test_a_certificate_that_is_not_trusted_is_shown_with_what_to_compare(
     assert "compare `fingerprint` with what `uoarm serve` prints there" in shown
 
 
+def test_a_redirection_is_said_with_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with redirecting("http://robot.example/ros/") as place:
+        assert fleet(desk(tmp_path, first=place)) == 4
+    shown = capsys.readouterr().out
+    assert "not reached: it redirects: give ws://robot.example/ros/ as the address" in shown
+
+
 def test_a_certificate_that_has_ended_asks_for_no_fingerprint() -> None:
     why = "its certificate is not trusted: certificate has expired; renew it there, or look at"
     error = ssl.SSLCertVerificationError(1, "x")
     error.verify_code, error.verify_message = 10, "certificate has expired"
-    assert why_unreachable(error) == f"{why} this machine's clock"
+    assert why_unreachable(error, "wss://there/") == f"{why} this machine's clock"
 
 
 def test_a_configuration_that_is_wrong_or_imports_nothing(

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-import threading
 from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import pytest
 import trustme
@@ -17,13 +15,12 @@ from attrs import evolve
 from played import LISTEN, TALK, Played, asked, bridge_to
 from ros import Serve, url
 from tests.inbox import health_events  # type: ignore[import-not-found]
+from tests.redirects import redirecting  # type: ignore[import-not-found]
 from tests.server.talk import eventually  # type: ignore[import-not-found]
 from uoarm_rosbridge.client import _connection, _options
 from uoarm_rosbridge.client._options import ClientOptions, Port, mistake
 from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
-from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection
-from websockets.sync.server import serve as serve_sync
 
 from uoarm import RobotManager
 from uoarm.bridge import HealthEvent, options_table
@@ -133,22 +130,10 @@ def test_files_that_were_renewed_count_from_the_next_connection_on(
 
 
 def test_a_redirection_is_said_with_what_to_do() -> None:
-    def respond(connection: ServerConnection, _: Request) -> Response:
-        response = connection.respond(301, "")
-        response.headers["Location"] = "http://robot.example/ros/"
-        return response
-
-    with serve_sync(Mock(), "127.0.0.1", 0, process_request=respond) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        place = f"ws://127.0.0.1:{server.socket.getsockname()[1]}/ros"
-        why = "it redirects: give ws://robot.example/ros/ as the address"
-        try:
-            with bridge_to(place) as bridge, pytest.raises(BridgeError, match=why):
-                bridge.describe(TALK, timeout=patience())
-        finally:
-            server.shutdown()
-            thread.join(patience())
+    with redirecting("http://robot.example/ros/") as place:
+        why = f"{place}: it redirects: give ws://robot.example/ros/ as the address"
+        with bridge_to(place) as bridge, pytest.raises(BridgeError, match=why):
+            bridge.describe(TALK, timeout=patience())
 
 
 def test_a_message_of_a_topic_comes_once_to_each_source(played: Played) -> None:

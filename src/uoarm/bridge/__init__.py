@@ -25,6 +25,7 @@ from uoarm.bridge._options import (
     address_check,
     option,
     options_table,
+    redirection,
     renewed,
     tls_fault,
 )
@@ -91,6 +92,7 @@ __all__ = [
     "option",
     "options_table",
     "reading_endpoint",
+    "redirection",
     "refuse_loop",
     "renewed",
     "shown",

@@ -14,10 +14,12 @@ Schema, since the type checker then knows what the bridge reads; the schema foll
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import urljoin
 
 import attrs
 from typing_extensions import Self
@@ -215,6 +217,24 @@ def tls_fault(error: BaseException, trust: str = "give its authority as `ca` of 
         reason = getattr(error, "reason", None) or str(error)
         return f"no TLS: {reason.replace('_', ' ').lower()}"
     return text_of(error)
+
+
+def redirection(error: BaseException, url: str) -> str:
+    """Say which address to give where a WebSocket server redirects, "" where it does not.
+
+    Args:
+        error: of `websockets`, or what was raised from it.
+        url: which was asked for.
+    """
+    for raised in (error, error.__cause__):
+        # A proxy redirects to HTTP, which some versions of the library follow.
+        location = getattr(raised, "uri", "")
+        if (response := getattr(raised, "response", None)) is not None:
+            location = response.headers.get("Location", "")
+        if location and location != url:
+            wanted = urljoin(re.sub("^ws", "http", url), location)
+            return f"it redirects: give {re.sub('^http', 'ws', wanted)} as the address"
+    return ""
 
 
 def renewed(read: Callable[[], T]) -> Callable[[], T]:

@@ -17,7 +17,7 @@ from attrs import field, fields_dict, frozen
 from uoarm import errors
 from uoarm._raised import text_of
 from uoarm._support.files import UnreadableFileError, read_text
-from uoarm.bridge import tls_fault
+from uoarm.bridge import redirection, tls_fault
 from uoarm.cli._output import echo, styled
 from uoarm.cli._shared import (
     BRIDGE,
@@ -188,7 +188,7 @@ def _cause(error: Exception, server: Remote) -> str:
             return "it ends the connection: it may not accept --certificate, or that has ended"
         tls = "" if server.url.startswith("wss:") else ": with TLS it is wss://"
         return f"no HTTP is spoken there{tls}"
-    return text_of(error)
+    return redirection(error, server.url) or text_of(error)
 
 
 _MOST_OCTETS = 1_000_000

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import re
 import secrets
 import socket
 import ssl
@@ -27,6 +26,7 @@ from websockets.protocol import Event, State
 from websockets.typing import Subprotocol
 
 from uoarm._wire import Form
+from uoarm.bridge import redirection
 
 if TYPE_CHECKING:
     from websockets.typing import BytesLike  # not in the oldest version
@@ -117,11 +117,9 @@ class ClientSocket(ClientConnection):
                 **secured,
             )
         except InvalidURI as error:
-            if error.uri == url:
-                raise
-            # Of a proxy, as for a path without the slash at its end: it knows of HTTP only.
-            wanted = re.sub("^http", "ws", error.uri)
-            raise InvalidHandshake(f"it redirects: give {wanted} as the address") from error
+            if where := redirection(error, url):  # as for a path without the slash at its end
+                raise InvalidHandshake(where) from error
+            raise
         assert isinstance(opened, cls), "as it was asked to make"
         return opened
 

@@ -165,7 +165,8 @@ async def _report(name: str, options: ManagerOptions) -> ManagerReport:
         cause = f"it did not answer within {options.timeout:g} s"
         return ManagerReport(name, options.url, cause, None, "UOA-408")
     except CONNECTING_ERRORS as error:
-        return ManagerReport(name, options.url, why_unreachable(error), None, "UOA-402")
+        cause = why_unreachable(error, options.url)
+        return ManagerReport(name, options.url, cause, None, "UOA-402")
     return ManagerReport(name, options.url, "", status)
 
 

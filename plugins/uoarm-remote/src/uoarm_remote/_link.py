@@ -20,7 +20,15 @@ from typing import Any, Protocol, TypeVar
 
 from websockets.exceptions import InvalidHandshake, InvalidStatus
 
-from uoarm.bridge import Backoff, asking_managers, refuse_loop, renewed, text_of, tls_fault
+from uoarm.bridge import (
+    Backoff,
+    asking_managers,
+    redirection,
+    refuse_loop,
+    renewed,
+    text_of,
+    tls_fault,
+)
 from uoarm.client import RemoteRobot, ServerAddress, ServerError, ThreadAnswer, trust_fingerprint
 from uoarm.errors import (
     BridgeError,
@@ -347,7 +355,7 @@ class ManagerLink:
                     return "the bridge is closed"
                 return ended.result()
         except CONNECTING_ERRORS as error:
-            return why_unreachable(error)
+            return why_unreachable(error, self._options.url)
         except Exception as error:  # noqa: BLE001 - it is reported, and tried again
             _log.exception("%s: the link failed", self.place)
             return text_of(error)
@@ -492,8 +500,10 @@ async def server_address(name: str, options: ManagerOptions, identity: str = "")
     )
 
 
-def why_unreachable(error: BaseException) -> str:
-    """Say why there is no connection, of one of `CONNECTING_ERRORS`."""
+def why_unreachable(error: BaseException, url: str) -> str:
+    """Say why there is no connection to an address, of one of `CONNECTING_ERRORS`."""
+    if where := redirection(error, url):
+        return where
     if isinstance(error, InvalidStatus):
         return _refusal(error)
     if isinstance(error, ConnectionRefusedError):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 import ssl
 import threading
 import time
@@ -14,11 +13,11 @@ from itertools import count
 from typing import Any
 
 from attrs import define, field
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 
-from uoarm.bridge import Backoff, Disconnection, tls_fault
+from uoarm.bridge import Backoff, Disconnection, redirection, tls_fault
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -415,11 +414,12 @@ class ServerConnection:
                     if time.monotonic() - begun > _STEADY_SECONDS:
                         failed = 0
             except Exception as error:  # noqa: BLE001 - of a URL, TLS, sockets: it is reported
+                cause = _cause_of(error, self.options.url)
                 if self.is_up:
-                    self._lose(_cause_of(error))
+                    self._lose(cause)
                 else:
-                    self._set(None, _cause_of(error))
-                    self._judge(_cause_of(error), final=_is_final(error))
+                    self._set(None, cause)
+                    self._judge(cause, final=_is_final(error))
             failed += 1
             pause, left = _BACKOFF.pause(failed), self._disconnection.left(time.monotonic())
             with self._changed:
@@ -577,13 +577,9 @@ def _is_final(error: Exception) -> bool:
     return isinstance(error, InvalidStatus) and error.response.status_code in _FINAL
 
 
-def _cause_of(error: Exception) -> str:
-    # A proxy redirects to HTTP, which some versions of the library follow.
-    location = error.uri if isinstance(error, InvalidURI) else ""
-    if isinstance(error, InvalidStatus):
-        location = error.response.headers.get("Location", "")
-    if location:
-        return f"it redirects: give {re.sub('^http', 'ws', location)} as the address"
+def _cause_of(error: Exception, url: str = "") -> str:
+    if where := redirection(error, url):
+        return where
     if isinstance(error, InvalidStatus):
         status = error.response.status_code
         hint = ": is the token right?" if status in _FINAL else ""
