@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import tracemalloc
 from typing import Any
@@ -16,6 +17,7 @@ from mcp_types import CallToolResult, ResourceLink
 from uoarm_mcp._schemas import output_schema, read_output
 from uoarm_mcp._values import KeptValues, is_picture, picture_of, succeeded
 
+from uoarm.errors import UsageError
 from uoarm.model import MessageStructure
 from uoarm.server.front_end import TEXT_FORM
 
@@ -112,3 +114,16 @@ def test_pixels_in_an_array_are_a_picture(shape: tuple[int, ...]) -> None:
     assert picture_of(message).mime_type == "image/jpeg"
     data = KeptValues(Mock()).render(message).value["data"]
     assert ("octets" in data) is (len(shape) == 1), "a row of uint8 is octets in every form"
+
+
+@pytest.mark.parametrize("kind", ["PNG", "EPS", "TIFF", "PPM"])
+def test_a_packed_picture_is_shown_in_formats_of_cameras(kind: str) -> None:
+    images = pytest.importorskip("PIL.Image")
+    written = io.BytesIO()
+    images.new("RGB", (8, 8)).save(written, kind)
+    message = {"data": written.getvalue()}
+    if kind == "PNG":
+        assert picture_of(message).mime_type == "image/jpeg"
+    else:
+        with pytest.raises(UsageError, match="cannot identify image file"):
+            picture_of(message)

@@ -33,6 +33,8 @@ _JPEG_OCTETS = 262_144
 _QUALITIES = (80, 60, 40, 25)
 _RAW = {"rgb8": "RGB", "bgr8": "BGR", "mono8": "L", "rgba8": "RGBA", "bgra8": "BGRA"}
 _PIXELS = 64_000_000
+# What cameras send; of the others that Pillow knows, one hands the octets to Ghostscript.
+_FORMATS = ("BMP", "JPEG", "PNG", "WEBP")
 
 
 @frozen
@@ -227,7 +229,7 @@ def picture_of(message: Message) -> ImageContent:
             stride = step if isinstance(step, int) else 0
             picture = Image.frombuffer(mode, (width, height), data, "raw", kind, stride, 1)
         else:
-            picture = Image.open(io.BytesIO(data))
+            picture = Image.open(io.BytesIO(data), formats=_FORMATS)
             if picture.width * picture.height > _PIXELS:
                 raise UsageError("the picture is too large to be shown")
         picture = picture.convert("RGB")
