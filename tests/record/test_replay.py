@@ -409,6 +409,82 @@ def test_the_readable_part_of_a_cut_file_is_read_and_the_rest_named(
         assert reader.notes or len(messages) == 100
 
 
+def everything(path: Path) -> tuple[Any, list[str]]:
+    """Return what is read of a file, and what it says of what is not."""
+    damages: list[str] = []
+    try:
+        reader = McapReader(path)
+    except BridgeError as error:
+        return None, [str(error)]
+    messages = {
+        topic: [
+            (message.time, bytes(message.data))
+            for message in reader.messages(topic, 0, damages.append)
+        ]
+        for topic in reader.channels
+    }
+    kinds = {topic: channel.kind for topic, channel in reader.channels.items()}
+    return (reader.start, reader.end, kinds, messages), reader.notes + damages
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+def test_a_file_of_which_an_octet_has_changed_is_read_as_it_was_or_says_so(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    path = foreign_file(tmp_path / "file.mcap", chunk_size=800, compression=compression)
+    octets, (right, _) = path.read_bytes(), everything(path)
+    for place in range(0, len(octets), 37):
+        path.write_bytes(octets[:place] + bytes([octets[place] ^ 0x10]) + octets[place + 1 :])
+        found, notes = everything(path)
+        assert found == right or notes, place
+
+
+def test_what_stands_behind_the_end_of_a_file_is_named(tmp_path: Path) -> None:
+    path = foreign_file(tmp_path / "file.mcap", chunk_size=800)
+    octets, (right, _) = path.read_bytes(), everything(path)
+    path.write_bytes(octets + octets)
+    assert everything(path) == (right, [f"{len(octets):,} octets behind its end are not read"])
+
+
+def test_a_chunk_without_messages_has_no_time(tmp_path: Path) -> None:
+    from mcap import records
+    from mcap.data_stream import RecordBuilder
+
+    def written(*parts: records.McapRecord) -> bytes:
+        builder = RecordBuilder()
+        for part in parts:
+            part.write(builder)
+        return bytes(builder.end())  # type: ignore[no-untyped-call]  # of mcap
+
+    channel = records.Channel(1, "/a", "json", {}, 0)
+    message = records.Message(1, 5, b"1", 5, 0)
+    octets, indexes = MAGIC + written(records.Header("", "")), []
+    for parts, time in (((channel,), 0), ((message,), 5)):
+        data = written(*parts)
+        chunk = written(records.Chunk("", data, time, time, 0, len(data)))
+        sizes = {"compressed_size": len(data), "uncompressed_size": len(data)}
+        indexes.append(
+            records.ChunkIndex(
+                len(octets),
+                len(chunk),
+                "",
+                message_end_time=time,
+                message_index_length=0,
+                message_index_offsets={},
+                message_start_time=time,
+                **sizes,
+            )
+        )
+        octets += chunk
+    octets += written(records.DataEnd(0))
+    summary = written(channel, *indexes)
+    path = tmp_path / "file.mcap"
+    path.write_bytes(octets + summary + written(records.Footer(len(octets), 0, 0)) + MAGIC)
+    reader = McapReader(path)
+    assert (reader.start, reader.end, reader.notes) == (5, 5, [])
+    assert [message.time for message in reader.messages("/a", 0, pytest.fail)] == [5]
+
+
 def test_a_file_that_is_none_says_so(tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("hello")
     with pytest.raises(BridgeError, match="is no MCAP file"):

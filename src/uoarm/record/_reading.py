@@ -146,7 +146,6 @@ class McapReader:
 
     def __init__(self, path: Path, *, follows: bool = False) -> None:
         self.path, self._follows = path, follows
-        self.start = self.end = 0
         self._channels: dict[str, FileChannel] = {}
         self.notes: list[str] = []
         self._ids: dict[int, FileChannel] = {}
@@ -169,9 +168,8 @@ class McapReader:
             text = f"{path} cannot be read: {error.strerror or error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         self._parts.sort(key=lambda part: part.start)
-        if self._parts:
-            self.start = self._parts[0].start
-            self.end = max(part.end for part in self._parts)
+        self.start = min((part.start for part in self._parts), default=0)
+        self.end = max((part.end for part in self._parts), default=0)
 
     @property
     def channels(self) -> Mapping[str, FileChannel]:
@@ -279,14 +277,19 @@ class McapReader:
         end = self._size - _FOOTER_OCTETS
         if not len(MAGIC) < start < end or end - start > _MOST_SUMMARY:
             return False
+        file.seek(start)
+        stated = int.from_bytes(footer[-len(MAGIC) - 4 : -len(MAGIC)], "little")
+        if stated and zlib.crc32(file.read(end - start) + footer[: HEAD.size + 16]) != stated:
+            return False
         chunks: int | None = None
-        has_messages = True
+        indexed, has_messages = 0, True
         try:
             for opcode, place, octets in self._records(file, start, end):
                 if opcode in {_SCHEMA, _CHANNEL}:
                     self._take_record(file, opcode, place, octets)
                 elif opcode == _CHUNK_INDEX:
-                    self._parts.append(self._indexed(file, place, octets))
+                    indexed += 1
+                    self._parts += self._indexed(file, place, octets)
                 elif opcode == _STATISTICS:
                     content = RecordContent(read_content(file, place, octets))
                     has_messages = content.number(8) > 0
@@ -300,7 +303,7 @@ class McapReader:
             bool(self._ids)
             and self._has_schemas
             and (bool(self._parts) or not has_messages)
-            and chunks in {None, len(self._parts)}
+            and chunks in {None, indexed}
             and not self.notes
         )
         if not is_whole:
@@ -312,11 +315,14 @@ class McapReader:
         self._definitions, self._has_schemas = 0, True
         self.notes.clear()
 
-    def _indexed(self, file: BinaryIO, place: int, octets: int) -> _Part:
+    def _indexed(self, file: BinaryIO, place: int, octets: int) -> list[_Part]:
         start, end, at, length = struct.unpack_from("<QQQQ", read_content(file, place, octets))
         if not len(MAGIC) <= at < self._size or not HEAD.size < length <= self._size - at:
             raise DamageError("the index leads out of the file")
-        return _Part(at + HEAD.size, length - HEAD.size, is_chunk=True, start=start, end=end)
+        if start == end == 0:  # as of a chunk without messages, which has no time
+            part = self._take_record(file, _CHUNK_RECORD, at + HEAD.size, length - HEAD.size)
+            return [] if part is None else [part]
+        return [_Part(at + HEAD.size, length - HEAD.size, is_chunk=True, start=start, end=end)]
 
     def _scan(self, file: BinaryIO, start: int) -> None:
         """Read every record from a place on, one chunk at a time."""
@@ -324,6 +330,7 @@ class McapReader:
         for opcode, place, octets in self._records(file, start, self._size):
             if opcode in {_DATA_END, _FOOTER}:
                 is_whole = True
+                self._note_what_follows(file, place - HEAD.size)
                 break
             self._size_read = place + octets
             try:
@@ -336,12 +343,19 @@ class McapReader:
         if not is_whole and not self.notes and not self._follows:
             self._note(f"it has no end: {self._size_read:,} of {self._size:,} octets can be read")
 
+    def _note_what_follows(self, file: BinaryIO, at: int) -> None:
+        """Note what stands behind the end, such as another file."""
+        records = self._records(file, at, self._size, note=False)
+        ends = (place + octets for opcode, place, octets in records if opcode == _FOOTER)
+        rest = self._size - next(ends, self._size) - len(MAGIC)
+        if rest > 0:
+            self._note(f"{rest:,} octets behind its end are not read")
+
     def _add_part(self, part: _Part) -> None:
         last = self._parts[-1] if self._parts else None
         if (
             last is not None
-            and not part.is_chunk
-            and not last.is_chunk
+            and not (part.is_chunk or last.is_chunk)
             and last.at + last.octets + HEAD.size == part.at
             and last.octets < _LOOSE_OCTETS
         ):
@@ -440,8 +454,6 @@ class McapReader:
         if not channel.is_like(known):
             self._note(f"{topic} has another channel of another kind, which is not read")
 
-    # Reading messages.
-
     def _messages_of(
         self, file: BinaryIO, part: _Part, ids: set[int]
     ) -> Iterator[tuple[int, memoryview]]:
@@ -463,10 +475,8 @@ class McapReader:
                         found.setdefault(number, []).append((at, content[MESSAGE.size :]))
                     count += 1
                     if count > _MOST_MESSAGES:
-                        damage = (
-                            f"the chunk at {part.at - HEAD.size:,} has more records than are "
-                            f"read: {_MOST_MESSAGES:,}"
-                        )
+                        where = f"the chunk at {part.at - HEAD.size:,}"
+                        damage = f"{where} has more records than are read: {_MOST_MESSAGES:,}"
                         break
                     if is_ahead and not count % _TURN_RECORDS:
                         time.sleep(0)
