@@ -266,3 +266,12 @@ def test_what_an_error_of_uoarm_says_has_no_traceback_of_uoarm_alone(
     first, second = caplog.records
     assert first.exc_info is not None
     assert second.exc_info is None
+
+
+def test_plugins_write_what_foreign_code_raises_within_bounds() -> None:
+    """What a peer or a component raises may be endless: `LimitedLog` bounds text and number."""
+    unbounded = re.compile(r"_log\.exception\(|exc_info=")
+    sources = list((Path(__file__).parents[1] / "plugins").glob("*/src/**/*.py"))
+    assert sources
+    found = [path.name for path in sources if unbounded.search(path.read_text(encoding="utf-8"))]
+    assert not found

@@ -9,11 +9,13 @@ from functools import partial
 from itertools import pairwise
 
 import pytest
+from _uoarm_rtm_stubs import RTC
 from endpoints import HANGS_AFTER, checked, of, sink
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._health import PortFault, PortStatus, blamed
 from uoarm_rtm._peer import Connector
+from uoarm_rtm._servants import Callbacks, ComponentLifecycle
 from uoarm_rtm._watch import Check, CheckQueue, Ticker
 
 from uoarm.bridge import Bridge
@@ -339,3 +341,16 @@ def test_the_surest_sign_says_which_end_is_to_blame(
     statuses: tuple[PortStatus | None, PortStatus | None], end: int | None
 ) -> None:
     assert blamed(statuses) == end
+
+
+def test_what_a_callback_raises_is_written_within_bounds(caplog: pytest.LogCaptureFixture) -> None:
+    def broken() -> None:
+        raise RuntimeError("broken " * 100_000)
+
+    lifecycle = ComponentLifecycle(Callbacks(activated=broken, aborting=broken))
+    for _ in range(20):
+        assert lifecycle.activate() == RTC.RTC_ERROR
+        lifecycle.state = RTC.INACTIVE_STATE
+    assert len(caplog.records) == 2
+    assert len(caplog.text) < 20_000
+    assert "a component's callback failed while it was aborting" in caplog.text

@@ -5,7 +5,7 @@ from uoarm._encodable import shown
 from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
-from uoarm._raised import foreign, text_of
+from uoarm._raised import LimitedLog, foreign, text_of
 from uoarm.bridge._border import Delivery, reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._channel import Channel, Outcomes, ReceiveQueue, Sink, Source
@@ -69,6 +69,7 @@ __all__ = [
     "Handler",
     "HealthEvent",
     "HealthReason",
+    "LimitedLog",
     "Outcomes",
     "PeerOptions",
     "PluginProblem",

@@ -20,7 +20,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from uoarm.bridge import Backoff, Disconnection, text_of, tls_fault
+from uoarm.bridge import Backoff, Disconnection, LimitedLog, text_of, tls_fault
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
 from uoarm_mqtt._client import MOST_IN_FLIGHT, BrokerClient, reason_text
@@ -96,6 +96,7 @@ class BrokerConnection:
     # Packets that wait for an answer, and answers that came before their packet was noted.
     _pending: dict[tuple[str, int], _Pending] = field(factory=dict, init=False)
     _early: dict[tuple[str, int], PacketOutcome] = field(factory=dict, init=False)
+    _records: LimitedLog = field(factory=partial(LimitedLog, "uoarm.mqtt"), init=False)
     _disconnection: Disconnection = field(init=False)
     _client: BrokerClient = field(init=False)
 
@@ -476,8 +477,9 @@ class BrokerConnection:
         for receiver in receivers:
             try:
                 receiver.give(came)
-            except Exception:  # noqa: BLE001 - a message of one topic ends no other
-                _log.exception("%s: a message on %s was not taken", self.name, came.topic)
+            except Exception as error:  # noqa: BLE001 - a message of one topic ends no other
+                text = f"{self.name}: a message on {came.topic} was not taken"
+                self._records.write(logging.ERROR, text, error)
 
     def _down(self, cause: str, *, final: bool = False) -> None:
         with self._changed:

@@ -22,6 +22,7 @@ from websockets.exceptions import InvalidHandshake, InvalidStatus
 
 from uoarm.bridge import (
     Backoff,
+    LimitedLog,
     asking_managers,
     redirection,
     refuse_loop,
@@ -86,6 +87,7 @@ class ManagerLink:
         identity: Callable[[], str],
         on_restart: Callable[[], object],
     ) -> None:
+        self._records = LimitedLog(_log)
         self._name, self._options, self._identity = name, options, identity
         self._on_restart = on_restart
         self._current: tuple[RemoteRobot, int] | None = None
@@ -357,7 +359,7 @@ class ManagerLink:
         except CONNECTING_ERRORS as error:
             return why_unreachable(error, self._options.url)
         except Exception as error:  # noqa: BLE001 - it is reported, and tried again
-            _log.exception("%s: the link failed", self.place)
+            self._records.write(logging.ERROR, f"{self.place}: the link failed", error)
             return text_of(error)
 
     def _greeted(self, robot: RemoteRobot, began: float) -> None:

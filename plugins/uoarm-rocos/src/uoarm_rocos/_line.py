@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from uoarm.bridge import Backoff, TurnCounter, text_of
+from uoarm.bridge import Backoff, LimitedLog, TurnCounter, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._transport import TICK_SECONDS, LineTransport
@@ -90,6 +90,7 @@ class DeviceLine:
         is_shared: bool = False,
     ) -> None:
         self.name = name
+        self._records = LimitedLog(_log)
         self._make = make
         self._user = user
         self._backoff = backoff
@@ -290,7 +291,7 @@ class DeviceLine:
         except BridgeError as error:
             return str(error)
         except Exception as error:  # noqa: BLE001 - a replaced transport may raise anything
-            _log.warning("line %s", self.name, exc_info=True)
+            self._records.write(logging.WARNING, f"line {self.name}", error)
             return text_of(error)
         finally:
             with self._reading, self._sending:

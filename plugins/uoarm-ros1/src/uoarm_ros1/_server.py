@@ -15,7 +15,7 @@ from contextlib import suppress
 from itertools import count
 from typing import Any
 
-from uoarm.bridge import TurnCounter, Turns
+from uoarm.bridge import LimitedLog, TurnCounter, Turns
 from uoarm.model import Budget
 from uoarm_ros1._tcpros import ProtocolError, TcprosReader, decode_header
 from uoarm_ros1._xmlrpc import Fault, HttpReader, decode_call, encode_reply, http_reply
@@ -50,6 +50,7 @@ class SocketLoop:
     """The thread. Every method may be called from any thread, and returns at once but `close`."""
 
     def __init__(self, name: str) -> None:
+        self._records = LimitedLog(_log)
         self._selector = selectors.DefaultSelector()
         self._wake, self._woken = socket.socketpair()
         for end in (self._wake, self._woken):
@@ -188,12 +189,11 @@ class SocketLoop:
             while True:
                 self._call(self._posted.popleft())
 
-    @staticmethod
-    def _call(action: Callable[[], object]) -> None:
+    def _call(self, action: Callable[[], object]) -> None:
         try:
             action()
-        except Exception:  # noqa: BLE001 - the others do not notice
-            _log.exception("an action of the loop raised")
+        except Exception as error:  # noqa: BLE001 - the others do not notice
+            self._records.write(logging.ERROR, "an action of the loop raised", error)
 
 
 _MOST_STRANGERS = 256

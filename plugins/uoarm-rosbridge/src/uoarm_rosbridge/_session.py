@@ -12,6 +12,7 @@ from typing import Any
 import orjson
 from attrs import frozen
 
+from uoarm.bridge import LimitedLog
 from uoarm.errors import BridgeError, ControlMessageError, UsageError
 from uoarm.model import BudgetUse, Message, Op, Role, message_octets, show_value
 from uoarm.server.front_end import (
@@ -205,6 +206,7 @@ class RosbridgeSession:
         self._client = client
         self._backend = backend
         self._level = _WARNING
+        self._records = LimitedLog(_log)
         self._numbers = itertools.count(1)
         seconds = client.limits.message_seconds
         self._fragments = Fragments(2 * client.limits.message_bytes, seconds)
@@ -252,7 +254,8 @@ class RosbridgeSession:
             whole = self._collect(fields, spending) if fields.get("op") == "fragment" else fields
         except Exception as error:  # noqa: BLE001 - every message that is wrong is reported
             if not isinstance(error, ControlMessageError):
-                _log.exception("a message of client %s", self._client.identity)
+                text = f"a message of client {self._client.identity}"
+                self._records.write(logging.ERROR, text, error)
             return functools.partial(self._fail, fields, without_frames(error)), 0
         return functools.partial(self._handle, whole), message_octets(whole)
 

@@ -11,7 +11,7 @@ from _uoarm_rtm_stubs import RTC, OpenRTM, OpenRTM__POA
 from attrs import frozen
 from omniORB import CORBA
 
-from uoarm.bridge import foreign
+from uoarm.bridge import LimitedLog, foreign
 from uoarm.cdr import ByteOrder
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Message
@@ -57,6 +57,7 @@ class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, withou
     """One connector's way into an InPort."""
 
     def __init__(self, codec: CdrCodec, order: ByteOrder, take: Callable[[Message], None]) -> None:
+        self._records = LimitedLog(_log)
         self._codec = codec
         self._order = order
         self._take = take
@@ -66,12 +67,12 @@ class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, withou
         try:
             message = self._codec.decode(data, self._order)
         except MessageError as error:
-            _log.warning("an InPort refuses data: %s", error)
+            self._records.write(logging.WARNING, f"an InPort refuses data: {error}")
             return OpenRTM.PORT_ERROR
         try:
             foreign(self._take, message)
-        except Exception:  # noqa: BLE001 - whatever the listener raises stays here
-            _log.exception("an InPort's listener failed")
+        except Exception as error:  # noqa: BLE001 - whatever the listener raises stays here
+            self._records.write(logging.ERROR, "an InPort's listener failed", error)
             return OpenRTM.UNKNOWN_ERROR
         return OpenRTM.PORT_OK
 

@@ -18,7 +18,7 @@ from typing import Any
 from _uoarm_rtm_stubs import RTC, RTC__POA, SDOPackage, SDOPackage__POA
 from attrs import frozen
 
-from uoarm.bridge import foreign
+from uoarm.bridge import LimitedLog, foreign
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import pairs, properties_of
 
@@ -48,6 +48,7 @@ class ComponentLifecycle:
     """The state, and the calls that change it. Callbacks run in the caller's thread."""
 
     def __init__(self, callbacks: Callbacks) -> None:
+        self._records = LimitedLog(_log, burst=2)  # the second is of the first one's aborting
         self._callbacks = callbacks
         # Held while callbacks run: transitions come in threads of the ORB, steps in the context's,
         # and never overlap. Re-entrant, since a callback may call `fail`.
@@ -92,8 +93,8 @@ class ComponentLifecycle:
     def _guarded(self, callback: Callable[[], None]) -> bool:
         try:
             foreign(callback)
-        except Exception:  # noqa: BLE001 - whatever it raises is a failed transition
-            _log.exception("a component's callback failed")
+        except Exception as error:  # noqa: BLE001 - whatever it raises is a failed transition
+            self._records.write(logging.ERROR, "a component's callback failed", error)
             self._abort()
             return False
         return True
@@ -102,8 +103,9 @@ class ComponentLifecycle:
         self._enter(RTC.ERROR_STATE)
         try:
             foreign(self._callbacks.aborting)
-        except Exception:  # noqa: BLE001 - as above, and it is in ERROR already
-            _log.exception("a component's callback failed while it was aborting")
+        except Exception as error:  # noqa: BLE001 - as above, and it is in ERROR already
+            text = "a component's callback failed while it was aborting"
+            self._records.write(logging.ERROR, text, error)
 
     def _enter(self, state: Any) -> None:
         with self.changed:

@@ -14,7 +14,7 @@ from typing import Any
 from _uoarm_rtm_stubs import RTC
 from omniORB import CORBA
 
-from uoarm.bridge import Channel, Description, foreign
+from uoarm.bridge import Channel, Description, LimitedLog, foreign, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message, MessageStructure
 from uoarm_rtm._descriptors import RETURN, IdlInterface, IdlOperation
@@ -262,6 +262,8 @@ def _named(name: str, handler: Handler) -> Handler:
 
 
 def _method(operation: IdlOperation, handler: Handler) -> Callable[..., Any]:
+    records = LimitedLog(_log)
+
     def method(servant: Any, *arguments: Any) -> Any:
         del servant
         try:
@@ -270,11 +272,14 @@ def _method(operation: IdlOperation, handler: Handler) -> Callable[..., Any]:
             raised = operation.exception(error.exception, error.members)
             if raised is not None:
                 raise raised from error
-            _log.warning("%s raised %s, which it does not declare", operation.name, error.exception)
-        except MessageError:
-            _log.exception("a reply of %s does not fit its IDL", operation.name)
-        except Exception:  # noqa: BLE001 - the caller gets UNKNOWN, whatever it was
-            _log.exception("a function that serves %s failed", operation.name)
+            text = f"{operation.name} raised {error.exception}, which it does not declare"
+            records.write(logging.WARNING, text)
+        except MessageError as error:
+            text = f"a reply of {operation.name} does not fit its IDL: {error}"
+            records.write(logging.ERROR, text, error)
+        except Exception as error:  # noqa: BLE001 - the caller gets UNKNOWN, whatever it was
+            text = f"a function that serves {operation.name} failed: {text_of(error)}"
+            records.write(logging.ERROR, text, error)
         raise CORBA.UNKNOWN(0, CORBA.COMPLETED_MAYBE)
 
     return method

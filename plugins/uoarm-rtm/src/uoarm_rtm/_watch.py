@@ -17,6 +17,8 @@ from contextlib import suppress
 
 from attrs import define
 
+from uoarm.bridge import LimitedLog
+
 Check = Callable[[], None]
 """Asks what may hang. A bound method of one object is one check."""
 
@@ -185,6 +187,7 @@ class Ticker:
     def __init__(self, checks: Callable[[], Collection[Check]], seconds: float) -> None:
         self._checks = checks
         self._seconds = seconds
+        self._records = LimitedLog(_log)
         # Guards all fields below: requests come in threads of the ORB. Never held in a check.
         self._changed = threading.Condition(threading.Lock())
         self._queue = CheckQueue(self._collect, seconds)
@@ -247,8 +250,8 @@ class Ticker:
             return False
         try:
             check()
-        except Exception:  # noqa: BLE001 - one that fails hurts no other
-            _log.exception("a check of OpenRTM failed")
+        except Exception as error:  # noqa: BLE001 - one that fails hurts no other
+            self._records.write(logging.ERROR, "a check of OpenRTM failed", error)
         with self._changed:
             self._queue.done(check, time.monotonic())
         return True

@@ -13,7 +13,7 @@ from typing import Any
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
-from uoarm.bridge import TurnCounter, Turns
+from uoarm.bridge import LimitedLog, TurnCounter, Turns
 from uoarm_ros2._middleware._wait_set import (
     Entity,
     EventEntity,
@@ -38,6 +38,7 @@ class QuietWatch:
     """
 
     def __init__(self, context: Any, name: str, notify: Callable[[list[Entity]], None]) -> None:
+        self._records = LimitedLog(_log)
         self._counter = TurnCounter()
         self._context = context
         self._name = name
@@ -103,7 +104,8 @@ class QuietWatch:
                     ready = wait_set.wait(_WAIT_SECONDS)
                 except Exception as error:  # noqa: BLE001 - rclpy's, of several kinds
                     if not self._closing.is_set() and self._context.ok():
-                        _log.error("waiting for what is seldom ready failed", exc_info=error)
+                        text = "waiting for what is seldom ready failed"
+                        self._records.write(logging.ERROR, text, error)
                         self._go_on.wait(_CALM_SECONDS)
                     continue
                 rest = self._counter.add(empty=wait_set.ended_early)
@@ -144,6 +146,7 @@ class WaitLoop:
     """
 
     def __init__(self, context: Any, name: str, quiet: Callable[[], bool]) -> None:
+        self._records = LimitedLog(_log)
         self._counter = TurnCounter()
         self._context = context
         self._quiet = quiet
@@ -305,5 +308,5 @@ class WaitLoop:
             pass  # it went between the look and the taking
         except Exception as error:  # noqa: BLE001 - one failure ends no other entity
             if not self._quiet():
-                _log.error("a callback of ROS 2 failed", exc_info=error)
+                self._records.write(logging.ERROR, "a callback of ROS 2 failed", error)
         return taken > 0 or entity.removed

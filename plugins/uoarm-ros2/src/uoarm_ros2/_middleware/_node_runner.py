@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.service import Service
 
-from uoarm.bridge import Turns
+from uoarm.bridge import LimitedLog, Turns
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._middleware._actions import (
     GoalEntity,
@@ -82,6 +82,7 @@ class NodeRunner:
     """
 
     def __init__(self, context: Any, name: str, namespace: str, done: Callable[[], None]) -> None:
+        self._records = LimitedLog(_log)
         self.node = Node(
             name,
             context=context,
@@ -180,7 +181,7 @@ class NodeRunner:
 
     def _failed(self, error: Exception) -> None:
         if not self._is_ending():
-            _log.error("looking after a ROS 2 node failed", exc_info=error)
+            self._records.write(logging.ERROR, "looking after a ROS 2 node failed", error)
 
     def _put_away(self) -> None:
         try:
@@ -190,8 +191,8 @@ class NodeRunner:
                     if isinstance(native, (GoalServer, SharedActionClient)):  # left by the node
                         native.destroy()
                 self.node.destroy_node()
-        except Exception:  # noqa: BLE001 - the context must go all the same
-            _log.exception("putting away a ROS 2 node failed")
+        except Exception as error:  # noqa: BLE001 - the context must go all the same
+            self._records.write(logging.ERROR, "putting away a ROS 2 node failed", error)
         finally:
             self._done()
             self._ended.set()
