@@ -241,6 +241,12 @@ def test_without_a_budget_a_list_has_no_more_elements_than_octets() -> None:
         codec(ROS_1, a=listing(closed())).decode(struct.pack("<I", 2**31), "<")
 
 
+def test_a_fixed_number_of_what_takes_no_octets_is_read_of_none() -> None:
+    known = codec(ROS_1, a=listing(closed(), minItems=3, maxItems=3))
+    assert known.encode({"a": [{}] * 3}) == b""
+    assert known.decode(b"") == {"a": [{}] * 3}
+
+
 @pytest.mark.parametrize("encoding", ENCODINGS, ids=lambda encoding: encoding.name)
 def test_lists_lie_in_lists_however_deep(encoding: Encoding) -> None:
     schema: Any = closed(end=number("float64"), ends=listing(number("int32")))

@@ -292,7 +292,8 @@ class _ReadingText:
     def _list(self, layout: ArrayLayout) -> str:
         source, length, name = self._source, self._length(layout), self._source.variable()
         least = least_size(layout.element)
-        if least or self._budget is None:  # of nothing there may be as many as there are octets
+        # Of nothing there may be as many as there are octets, or as the structure says.
+        if least or (self._budget is None and not layout.is_fixed):
             self._require(f"{least} * {length}" if least > 1 else length)
         if self._budget is not None:
             self._spend(length)
