@@ -472,10 +472,19 @@ def test_the_node_survives_any_call(method: str, arguments: list[Any]) -> None:
 
 def test_a_master_that_no_channel_relied_upon_is_not_missed() -> None:
     health = MasterHealth()
-    assert [health.failed("no"), health.failed("no")] == [None, None]
+    assert [health.failed("no", is_used=False) for _ in range(2)] == [None, None]
     assert health.answered() == (Health.OK, "the ROS master answers again")
-    assert health.failed("gone") == (Health.DEGRADED, "gone")
-    assert health.failed("gone") is None
+    assert health.failed("gone", is_used=False) == (Health.DEGRADED, "gone")
+    assert health.failed("gone", is_used=False) is None
+
+
+def test_a_master_that_took_a_registration_is_missed_before_the_first_look() -> None:
+    for looks in (0, 1):
+        health = MasterHealth()
+        assert [health.failed("no", is_used=False) for _ in range(looks)] == [None] * looks
+        assert health.failed("gone", is_used=True) == (Health.DEGRADED, "gone")
+        assert health.failed("gone", is_used=True) is None
+        assert health.answered() == (Health.OK, "the ROS master answers again")
 
 
 def test_what_was_killed_is_back_with_another_address_or_an_answer() -> None:

@@ -468,7 +468,7 @@ class Ros1Bridge(Bridge):
                     own.open()
             report = health.answered()
         except BridgeError as error:
-            report = health.failed(str(error))
+            report = health.failed(str(error), is_used=node.has_registered)
         if self._closing.is_set():
             return
         if report is not None:

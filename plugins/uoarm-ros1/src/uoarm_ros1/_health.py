@@ -18,6 +18,7 @@ class MasterHealth:
 
     def __init__(self) -> None:
         self._is_up: bool | None = None
+        self._is_missed = False
 
     @property
     def is_up(self) -> bool:
@@ -27,13 +28,22 @@ class MasterHealth:
     def answered(self) -> Report | None:
         """It answered."""
         was_up, self._is_up = self._is_up, True
+        self._is_missed = False
         return (Health.OK, "the ROS master answers again") if was_up is False else None
 
-    def failed(self, cause: str) -> Report | None:
-        """It did not."""
+    def failed(self, cause: str, *, is_used: bool) -> Report | None:
+        """It did not.
+
+        Args:
+            cause: why.
+            is_used: whether it has taken a registration: it may have gone before the first look.
+        """
         was_up, self._is_up = self._is_up, False
         # What was not relied upon yet is not broken: a step that needs it is refused.
-        return (Health.DEGRADED, cause) if was_up else None
+        if self._is_missed or not (was_up or is_used):
+            return None
+        self._is_missed = True
+        return Health.DEGRADED, cause
 
 
 @define

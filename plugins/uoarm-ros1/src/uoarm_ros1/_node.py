@@ -59,6 +59,7 @@ class Node:
         peers: the APIs of the nodes that it is connected to.
         loop: that watches its sockets.
         stamp: returns the time as headers have it: this machine's, or that of /clock.
+        has_registered: whether the master has ever taken a registration of it.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class Node:
         self.identity, self.options = identity, options
         self.name = identity.names.node
         self._ended = ended
+        self.has_registered = False
         self.stamp: Callable[[], Mapping[str, int]] = _stamp
         # Guards the tables of what is registered, between steps, the loop and the watch.
         self._lock = threading.RLock()
@@ -378,6 +380,7 @@ class Node:
         # What is taken back meanwhile may reach the master before it is registered here: it is
         # taken back once more, or the master knew for good what is there no longer.
         found = call()
+        self.has_registered = True
         if name not in self._tables[kind]:
             self._unregister(kind, name)
         return found
