@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
-from uoarm.bridge import HealthEvent, Sink
+from uoarm.bridge import HealthEvent, Sink, _watchdog
 from uoarm.bridge._watchdog import Watchdog
 from uoarm.errors import CommandRefusedError
 from uoarm.model import (
@@ -172,6 +172,31 @@ def test_what_moves_is_stopped_before_it_is_closed(base: Base) -> None:
     sink.send(GO)
     sink.close()
     assert base.was_closed_after == [GO, STOP]
+
+
+def test_a_close_waits_for_a_thread_that_a_busy_machine_holds_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    has_time, taken, look = threading.Event(), list[Message](), Watchdog._wait_until_due
+
+    def look_late(watchdog: Watchdog) -> bool:
+        assert has_time.wait(patience())
+        return look(watchdog)
+
+    monkeypatch.setattr(Watchdog, "_wait_until_due", look_late)
+    watchdog = Watchdog(CommandPolicy(None, StopMessage(STOP)), taken.append, "base")
+    wait_for = watchdog._changed.wait_for
+
+    def wait_for_long(ready: Callable[[], bool], timeout: float | None = None) -> bool:
+        if timeout == _watchdog._LAST_SECONDS and not has_time.is_set():
+            return ready()  # this time is over before the thread has begun
+        has_time.set()
+        return wait_for(ready, patience())
+
+    monkeypatch.setattr(watchdog._changed, "wait_for", wait_for_long)
+    watchdog.send(GO, 0.0)
+    assert watchdog.close()
+    assert taken == [GO, STOP]
 
 
 @pytest.mark.parametrize("how", ["close", "hold", "halt"])

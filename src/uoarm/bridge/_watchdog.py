@@ -238,6 +238,7 @@ def _beyond(limit: FieldLimit, value: float | None, before: float | None, elapse
 _log = logging.getLogger("uoarm.commands")
 _LONGEST_SECONDS = 3600.0
 _LAST_SECONDS = 0.5
+_BEGIN_SECONDS = 5.0  # for a thread to get the processor; a machine that needs longer stands still
 
 
 def boot_seconds() -> float:
@@ -283,6 +284,7 @@ class Watchdog:
         self._changed = threading.Condition()
         self._turn = None if parallel else threading.Lock()
         self._asleep_until = -math.inf
+        self._is_stopping = False  # whether the thread sends the stop, or waits for its turn to
         self._thread: threading.Thread | None = None
         self._ended = False
         self._records = LimitedLog(_log)
@@ -330,14 +332,18 @@ class Watchdog:
             return self._state.status(self._clock())
 
     def close(self) -> bool:
-        """Let nothing more through, and stop what moves; wait for that half a second at most.
+        """Let nothing more through, and stop what moves.
 
-        Returns whether a stop was taken last, now or before: it may not have arrived yet.
+        Waits for the framework half a second at most, once the thread has the processor, for which
+        it has five. Returns whether a stop was taken last, now or before: it may not have arrived
+        yet.
         """
         with self._changed:
             self._state.close(self._clock())
             if not self._is_at_rest():
                 self._wake()
+                # On a busy machine the half second is over before the thread has begun.
+                self._changed.wait_for(self._has_begun, _BEGIN_SECONDS)
                 self._changed.wait_for(self._is_at_rest, _LAST_SECONDS)
             is_at_rest = self._is_at_rest()
             self._ended = True
@@ -349,6 +355,9 @@ class Watchdog:
 
     def _is_at_rest(self) -> bool:
         return self._state.phase in {CommandPhase.IDLE, CommandPhase.STOPPED} or self._stop is None
+
+    def _has_begun(self) -> bool:
+        return self._is_stopping or not self._state.is_due(self._clock())
 
     def _offer(self, message: Message, age: float) -> None:
         refused = self._state.offer(message, self._clock(), age)
@@ -392,6 +401,8 @@ class Watchdog:
             while not self._ended:
                 now = self._clock()
                 if self._state.is_due(now):
+                    self._is_stopping = True
+                    self._changed.notify_all()
                     return True
                 self._asleep_until = self._state.wake_at()
                 self._changed.wait(min(self._asleep_until - now, _LONGEST_SECONDS))
@@ -403,6 +414,7 @@ class Watchdog:
             # While it waited for its turn, what was due may not have been taken back: only
             # the end of the channel is left.
             if self._ended or not self._state.begin_stop(self._clock()):
+                self._is_stopping = False
                 return
         try:
             foreign(self._send, copy.deepcopy(self._stop.message))
@@ -415,6 +427,7 @@ class Watchdog:
         with self._changed:
             was_failing = bool(self._state.cause)
             self._state.stop_taken(self._clock())
+            self._is_stopping = False
             self._changed.notify_all()
         if was_failing:
             self._report_stop("")
@@ -423,6 +436,7 @@ class Watchdog:
         with self._changed:
             was_failing = bool(self._state.cause)
             self._state.stop_failed(self._clock(), cause)
+            self._is_stopping = False
         self._records.write(logging.ERROR, f"{self._name} did not take its stop message: {cause}")
         if not was_failing:
             self._report_stop(f"its stop message was not taken: {cause}")
