@@ -177,7 +177,7 @@ class CheckQueue:
 
 
 class Ticker:
-    """Makes checks in threads: mostly one, and another for each that takes long, 32 at most.
+    """Makes checks in threads: mostly two, and another for each that takes long, 32 at most.
 
     Args:
         checks: returns those of a round; it does not block.
@@ -193,13 +193,15 @@ class Ticker:
         self._queue = CheckQueue(self._collect, seconds)
         self._ended = False
         self._threads: set[threading.Thread] = set()
-        self._resting: dict[threading.Thread, float] = {}  # until when
+        # Until when; a thread that has not begun yet rests, too, or another would be added for it.
+        self._resting: dict[threading.Thread, float] = {}
 
     def start(self) -> None:
         """Begin, where there are rounds at all."""
         if self._seconds:
             with self._changed:
-                self._add_thread()
+                for _ in range(_MOST_RESTING):  # as many as stay in the end
+                    self._add_thread()
 
     def soon(self, check: Check) -> None:
         """Have a check made before its turn, and once more 20 ms later."""
@@ -237,6 +239,7 @@ class Ticker:
         with suppress(RuntimeError):  # no more can begin: those that there are go on
             thread.start()
             self._threads.add(thread)
+            self._resting[thread] = math.inf
 
     def _run(self) -> None:
         # The check is not kept in this frame, which would hold its component while it rests.
@@ -263,6 +266,7 @@ class Ticker:
         """
         this = threading.current_thread()
         with self._changed:
+            self._resting.pop(this, None)  # of one that begins
             while not self._ended:
                 now = time.monotonic()
                 check = self._queue.take(now)
