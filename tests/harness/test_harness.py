@@ -589,11 +589,16 @@ def test_a_test_that_needs_something_where_no_tier_looks_for_it_is_an_error(
 @pytest.mark.parametrize(
     "folder", sorted((ROOT / "plugins").glob("*/tests")), ids=lambda folder: folder.parent.name
 )
-def test_the_tests_of_each_plugin_are_run_by_default_and_at_length(folder: Path) -> None:
+def test_the_tests_of_each_plugin_are_run_by_default_at_length_and_late(folder: Path) -> None:
     place = folder.relative_to(ROOT).as_posix()
     ran = {tier.name: tier.arguments for tier in TIERS if place in tier.arguments}
     assert ["not long" in ran[name] for name in BY_DEFAULT if name in ran] == [True]
-    assert [ran[name] for name in NAMES["long"] if name in ran] == [(place,)]
+    at_length = {name: ran[name] for name in NAMES["long"] if name in ran}
+    name = folder.parent.name.removeprefix("uoarm-")
+    assert at_length == {
+        f"long-{name}": (place,),
+        f"late-{name}": (place, "-m", "not long"),
+    }
 
 
 KIT = """

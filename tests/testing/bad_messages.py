@@ -27,7 +27,7 @@ from tests.testing.bad_worlds import (
 )
 
 from uoarm.bridge import Delivery, Sink, Source
-from uoarm.errors import BridgeError, UoarmError
+from uoarm.errors import BridgeError, FailureReason, MessageError, UoarmError
 from uoarm.model import Deliver, Health, Message
 from uoarm.testing import Background, MemoryBridge
 from uoarm.testing.conformance._ending import EndingRules
@@ -170,6 +170,16 @@ def swallows(send: Callable[[Any], None]) -> Callable[[Any], None]:
     def sent(message: Any) -> None:
         with suppress(UoarmError):
             send(message)
+
+    return sent
+
+
+def blames_itself(send: Callable[[Any], None]) -> Callable[[Any], None]:
+    def sent(message: Any) -> None:
+        try:
+            send(message)
+        except MessageError as error:
+            raise BridgeError(f"cannot send: {error}", FailureReason.BAD_MESSAGE) from error
 
     return sent
 
@@ -408,6 +418,13 @@ ERROR_BUGS: tuple[Bug, ...] = (
         sending(swallows),
         DisturbanceRules.test_a_message_that_fits_nothing_is_refused_in_words_or_carried,
         "was taken and vanished",
+    ),
+    Bug(
+        ERRORS,
+        "refuses what does not fit as if its component had failed",
+        sending(blames_itself),
+        DisturbanceRules.test_a_message_that_fits_nothing_is_refused_in_words_or_carried,
+        "cannot send: ",
     ),
     Bug(
         ERRORS,

@@ -201,6 +201,16 @@ GENERAL: tuple[Bug, ...] = (
     ),
     Bug(
         MESSAGES,
+        "loses what is longer than 64 KiB",
+        delivering(
+            lambda deliver: lambda message: deliver(message) if len(message) < 65_536 else None
+        ),
+        Flow.test_what_is_long_survives,
+        "1 of 2 messages came",
+        "text",
+    ),
+    Bug(
+        MESSAGES,
         "delivers texts of a class of its own",
         delivering(lambda deliver: lambda message: deliver(_Text(message))),
         Flow.test_values_arrive_with_their_types,

@@ -27,7 +27,7 @@ from uoarm_rocos._catalogue import (
     WireMessage,
 )
 from uoarm_rocos._codec import XmlCodec
-from uoarm_rocos._framing import LengthFramer, StuffedFramer
+from uoarm_rocos._framing import SERIAL_LIMITS, TCP_LIMITS, LengthFramer, StuffedFramer
 from uoarm_rocos.simulate import Job, ProfileServer
 
 from uoarm.model import BridgeSpec, Endpoint, Message
@@ -120,6 +120,7 @@ class RocosWorld(World):
         self._model, self._codec, self._plugged = Mirror(), SpoiltCodec(), threading.Event()
         self._plugged.set()
         end = on_cable(line_end(kind), self._plugged)
+        self._longest = TCP_LIMITS.octets if end.framed else SERIAL_LIMITS.octets
         mirror = ProfileServer(self._model, LengthFramer if end.framed else StuffedFramer)
         mirror._codec = self._codec
         self._devices = {name: ExitStack() for name in ("mirror", "mortal", "fragile")}
@@ -139,6 +140,9 @@ class RocosWorld(World):
 
     def missing(self) -> Endpoint:
         return endpoint("mirror", "nowhere")
+
+    def takes(self, kind: str, message: Message) -> bool:
+        return len(str(message)) < self._longest
 
     def carried(self, kind: str, message: Message) -> Message:
         if kind != "number":

@@ -28,7 +28,7 @@ from uoarm_rocos.speech import (
 
 from uoarm._control import RobotManager
 from uoarm.bridge import ServiceStructures
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.testing import patience
 
 SAY = endpoint("voice", "speechGeneration", "service")
@@ -167,7 +167,7 @@ def test_a_voice_that_does_not_exist_is_refused() -> None:
         with pytest.raises(BridgeError, match="no voice 'unknown'") as raised:
             bridge.call(SAY, {"text": "x", "voice": "unknown"})
         assert raised.value.reason is FailureReason.BAD_MESSAGE
-        with pytest.raises(BridgeError, match=r"text: expected at most 1000 characters"):
+        with pytest.raises(MessageError, match=r"text: expected at most 1000 characters"):
             bridge.call(SAY, {"text": "x" * 1001})
         assert bridge.call(SAY, {"text": "I can still speak."})["duration"] > 0.5
 

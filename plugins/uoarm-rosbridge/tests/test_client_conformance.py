@@ -223,6 +223,8 @@ def shared(lasting: ServedRobot) -> Iterator[Bridge]:
         yield made
 
 
+# Threads of the lasting server, which begin with the first large message.
+@pytest.mark.keeps("thread 'uoarm-decode", "thread 'uoarm-encode")
 class TestInAHost(SharesHost, TestRosbridgeClient):  # type: ignore[misc]
     """The whole suite with the bridge in a process of its own."""
 

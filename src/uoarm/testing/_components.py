@@ -22,7 +22,7 @@ from attrs import frozen
 
 from uoarm._arguments import arguments
 from uoarm.bridge import Channel, Handler
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure, Role, Schema
 from uoarm.testing._faults import Hang
 from uoarm.testing._waiting import Collector
@@ -89,24 +89,29 @@ ROWS = NativeDialect(str, int, _to_row, _from_row)
 PAIRS = NativeDialect(_to_bytes, _from_bytes, _to_pairs, _from_pairs)
 
 
+_UNFIT = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+
+
 def codec(schema: Schema, dialect: NativeDialect) -> NativeCodec:
     """Return the codec of a structure; what its schema leaves open carries tags.
 
-    Both directions raise BridgeError with BAD_MESSAGE when something does not fit.
+    Writing raises MessageError when something does not fit, reading BridgeError with BAD_MESSAGE.
     """
     inner = _codec(schema, dialect)
 
-    def guarded(step: str, convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        def run(value: Any) -> Any:
-            try:
-                return convert(value)
-            except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-                text = f"{step} failed: {error}"
-                raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
+    def write(value: Any) -> Any:
+        try:
+            return inner.write(value)
+        except _UNFIT as error:
+            raise MessageError(f"writing a message failed: {error}") from error
 
-        return run
+    def read(native: Any) -> Any:
+        try:
+            return inner.read(native)
+        except _UNFIT as error:
+            raise BridgeError(f"reading failed: {error}", FailureReason.BAD_MESSAGE) from error
 
-    return NativeCodec(guarded("writing a message", inner.write), guarded("reading", inner.read))
+    return NativeCodec(write, read)
 
 
 def _codec(schema: Any, dialect: NativeDialect) -> NativeCodec:
@@ -372,9 +377,19 @@ class MemoryService:
         self._reply = codec(reply.schema, ROWS)
 
     def answer(self, message: Message) -> Message:
-        """Answer one request, through both native forms."""
+        """Answer one request, through both native forms.
+
+        Raises:
+            MessageError: the request does not fit.
+            BridgeError: with BAD_MESSAGE: the reply does not.
+        """
         request = self._ask.read(self._ask.write(message))
-        return self._reply.read(self._reply.write(self._handler(request)))
+        reply = self._handler(request)
+        try:
+            native = self._reply.write(reply)
+        except MessageError as error:  # the service's fault, and not of who calls
+            raise BridgeError(str(error), FailureReason.BAD_MESSAGE) from error
+        return self._reply.read(native)
 
 
 class Script:

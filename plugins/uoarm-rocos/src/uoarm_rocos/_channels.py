@@ -10,7 +10,7 @@ from uoarm.model import Message
 from uoarm_rocos._catalogue import Api, Direction
 from uoarm_rocos._device import DeviceFlow, InputFlow
 from uoarm_rocos._framing import WireError
-from uoarm_rocos._structure import fit
+from uoarm_rocos._structure import fit, fit_given
 
 F = TypeVar("F", bound=DeviceFlow)
 
@@ -182,7 +182,7 @@ class ProfileInput(ProfileFlow):
         Raises:
             BridgeError: it does not fit, or the line is gone.
         """
-        self._send(self, fit(self.api.input, message, f"input of {self.api.name}"))
+        self._send(self, fit_given(self.api.input, message, f"input of {self.api.name}"))
         self._sent += 1
 
     def facts(self) -> Mapping[str, object]:

@@ -34,7 +34,8 @@ class InputFlow(DeviceFlow, Protocol):
         """Hand over one message; blocks as long as the line does, which is bounded.
 
         Raises:
-            BridgeError: it does not fit, or the line is gone.
+            MessageError: it does not fit, or is longer than the line takes.
+            BridgeError: the line is gone.
         """
 
 
@@ -81,6 +82,7 @@ class Device(ABC):
         """Ask a service and wait for its answer at most `timeout` seconds.
 
         Raises:
+            MessageError: the request does not fit, or is longer than the line takes.
             BridgeTimeoutError: no answer; the call was given up.
             BridgeError: the device refused, failed, or is gone.
         """

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from attrs import frozen
 
 from uoarm.bridge import Delivery, Disconnection, HealthReason
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UoarmError
 from uoarm.model import Health
 from uoarm_rocos._catalogue import (
     Api,
@@ -39,7 +39,7 @@ from uoarm_rocos._framing import Framer, LineError, WireError
 from uoarm_rocos._health import ConversationIds, HeartbeatWatch, SequenceCheck, flow_monitor
 from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._options import Timing
-from uoarm_rocos._structure import fit
+from uoarm_rocos._structure import fit, fit_given
 from uoarm_rocos._transport import LineTransport
 
 _FIRST_HEARTBEAT = 1.0
@@ -117,7 +117,7 @@ class Conversation:
 
         Raises:
             LineError: the line is not open.
-            WireError: the message cannot be written; nothing was sent.
+            MessageError: the message cannot be written; nothing was sent.
             BridgeTimeoutError: the line was busy all the time; nothing was sent.
         """
         end = 0.0 if within is None else time.monotonic() + within
@@ -125,7 +125,10 @@ class Conversation:
             raise BridgeTimeoutError(f"{self.line.name} took nothing within {within:g} s")
         try:
             seq = self._seq
-            frame = self._framer.frame(self._wire.codec.write(build(seq)))
+            try:
+                frame = self._framer.frame(self._wire.codec.write(build(seq)))
+            except WireError as error:  # what is sent is wrong, not the device
+                raise MessageError(str(error)) from error
             self._seq = (seq + 1) % _WRAP  # before, so that no number is ever there twice
             try:
                 if within is None:
@@ -297,7 +300,7 @@ class ProfileDevice(LineDevice):
     def call(self, api: Api, message: object, timeout: float) -> dict[str, Any]:
         """Ask a service; gives the call up, with a word to the device, when time is up."""
         end = time.monotonic() + timeout
-        values = fit(api.input, message, f"request to {api.name}")
+        values = fit_given(api.input, message, f"request to {api.name}")
         self._await(min(timeout, self._timing.wait))
         self._check_same(api)
         what = f"calling {api.name} of {self.name}"
@@ -307,7 +310,7 @@ class ProfileDevice(LineDevice):
         try:
             self._send_call(lambda seq: CallMessage(seq, identity, api.name, values), answer, end)
             is_answered = answer.wait(max(0.0, end - time.monotonic()))
-        except BridgeError:
+        except UoarmError:
             self._answers.forget(identity)  # nothing was sent
             raise
         finally:  # also where the caller's thread is interrupted
@@ -447,7 +450,7 @@ class ProfileDevice(LineDevice):
         api, way = flow.api.name, flow.direction
         try:
             self._conversation.send(lambda seq: OpenMessage(seq, identity, api, way))
-        except BridgeError:
+        except UoarmError:
             self._answers.forget(identity)
             raise
         return answer

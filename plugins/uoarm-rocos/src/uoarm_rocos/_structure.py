@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import attrs
 
 from uoarm.bridge import Description
+from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
 from uoarm_rocos._catalogue import (
     Api,
@@ -119,6 +120,18 @@ def fit(fields: Fields, message: object, where: str) -> dict[str, Any]:
         return _members(fields, message)
     except _UnfitError as error:
         raise WireError(f"{where}{error.path}: {error.text}") from None
+
+
+def fit_given(fields: Fields, message: object, where: str) -> dict[str, Any]:
+    """Return what `fit` does, of a message that goes to a device: its sender is blamed.
+
+    Raises:
+        MessageError: as the WireError of `fit`.
+    """
+    try:
+        return fit(fields, message, where)
+    except WireError as error:
+        raise MessageError(str(error)) from None
 
 
 def _members(fields: Fields, message: object) -> dict[str, Any]:

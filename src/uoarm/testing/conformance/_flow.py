@@ -59,9 +59,14 @@ class Flow:
             survives()
 
     def test_what_is_long_survives(self, world: World, bridge: Bridge, kind: str) -> None:
-        """Texts and lists of three hundred, where the structure sets no limit."""
+        """Texts and lists of 300, and then 70,000 octets, where the structure sets no limit.
+
+        Of 70,000 no buffer of 64 KiB holds all at once.
+        """
         with line(world, bridge, kind) as through:
-            through.carries_or_refuses(with_length(through.structure.schema, through.example()))
+            for octets in (300, 70_000):
+                message = with_length(through.structure.schema, through.example(), octets)
+                through.carries_or_refuses(message)
 
     def test_values_arrive_with_their_types(self, world: World, bridge: Bridge, kind: str) -> None:
         """Octets as bytes, integers as int, truth values as bool."""

@@ -11,6 +11,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
 import pytest
@@ -26,6 +27,7 @@ from uoarm.testing._waiting import Background, Collector, patience, plain, same
 
 _BUFFERS = (bytes, bytearray, memoryview)
 _LONG = 300
+_SHOWN = 2000
 _SAMPLES: Mapping[str, Any] = {"boolean": True, "integer": 1, "number": 1.0, "string": "item"}
 _RESTRICTIONS = frozenset(
     {"const", "contains", "enum", "format", "maxItems", "maxLength", "pattern", "uniqueItems"}
@@ -49,9 +51,15 @@ def with_integers(schema: Schema, message: Any) -> Any:
     return _convert(schema, schema, message, strictly=True)
 
 
-def with_length(schema: Schema, message: Any) -> Any:
-    """Return the message with long texts and lists of scalars, where the schema is plain."""
-    return _changed(schema, schema, message, _lengthened)
+def with_length(schema: Schema, message: Any, octets: int = _LONG) -> Any:
+    """Return the message with long texts and lists of scalars, where the schema is plain.
+
+    Args:
+        schema: of the message.
+        message: fits it.
+        octets: length of texts and of octets; other lists have 300 items.
+    """
+    return _changed(schema, schema, message, partial(_lengthened, octets))
 
 
 def with_half(schema: Schema, message: Any) -> Any:
@@ -100,9 +108,9 @@ def _changed(
     return change(schema, value)
 
 
-def _lengthened(schema: Mapping[str, Any], value: Any) -> Any:
+def _lengthened(octets: int, schema: Mapping[str, Any], value: Any) -> Any:
     if isinstance(value, str):
-        return ("long " * _LONG)[:_LONG]
+        return ("long " * octets)[:octets]
     if not isinstance(value, list):
         return value
     wanted: Any = schema.get("items")
@@ -111,7 +119,12 @@ def _lengthened(schema: Mapping[str, Any], value: Any) -> Any:
         return value
     sample = _SAMPLES[wanted["type"]]
     fits = wanted.get("minimum", 0) <= 1 <= wanted.get("maximum", 1)
-    return [sample] * _LONG if fits else value
+    return [sample] * (octets if schema.get("x-octets") else _LONG) if fits else value
+
+
+def _shown(message: Message) -> str:
+    text = repr(message)
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN // 2]} ... {text[-_SHOWN // 2 :]}"
 
 
 def _halved(_: Mapping[str, Any], value: Any) -> Any:
@@ -364,7 +377,7 @@ class Line:
         came = self.collector.wait(before + len(messages), self.world.patience)[before:]
         wanted = [self.world.carried(self.kind, message) for message in messages]
         for sent, got in zip(wanted, came, strict=False):
-            assert same(got, sent), f"sent {sent!r}, came {got!r}"
+            assert same(got, sent), f"sent {_shown(sent)}, came {_shown(got)}"
         assert len(came) == len(wanted), f"{len(wanted)} were sent, {len(came)} came"
         return came
 

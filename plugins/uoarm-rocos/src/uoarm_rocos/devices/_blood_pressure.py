@@ -32,7 +32,7 @@ from uoarm_rocos._framing import LineError, WireError
 from uoarm_rocos._line import DeviceLine
 from uoarm_rocos._options import Timing
 from uoarm_rocos._profile import Changed
-from uoarm_rocos._structure import fit
+from uoarm_rocos._structure import fit, fit_given
 from uoarm_rocos._transport import LineTransport
 
 ACCEPTED, REFUSED = b"PWA1", b"PWA0"
@@ -170,7 +170,7 @@ class Monitor(LineDevice):
     def call(self, api: Api, message: object, timeout: float) -> dict[str, Any]:
         """Wait for the next measurement."""
         began = time.monotonic()
-        fit(api.input, message, f"request to {api.name}")
+        fit_given(api.input, message, f"request to {api.name}")
         self.catalogue(min(timeout, self._timing.wait))
         answer = PendingReply()
         with self._state:

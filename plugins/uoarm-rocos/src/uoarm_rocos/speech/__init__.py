@@ -33,7 +33,7 @@ from uoarm_rocos._catalogue import (
 )
 from uoarm_rocos._device import Device
 from uoarm_rocos._options import DeviceOptions
-from uoarm_rocos._structure import fit
+from uoarm_rocos._structure import fit_given
 
 __all__ = ["Engine", "EspeakEngine", "FestivalEngine", "Sound", "Speech", "speech_catalogue"]
 
@@ -314,7 +314,7 @@ class Speech(Device):
     def call(self, api: Api, message: object, timeout: float) -> dict[str, Any]:
         """Say a text; the answer comes when it has been said, or written to a file."""
         end = time.monotonic() + timeout
-        asked = fit(api.input, message, f"request to {api.name}")
+        asked = fit_given(api.input, message, f"request to {api.name}")
         if not self._speaking.acquire(timeout=timeout):
             raise BridgeTimeoutError(f"{self._name} was still speaking after {timeout:g} s")
         try:
