@@ -35,6 +35,7 @@ from uoarm.bridge import (
     ServiceStructures,
 )
 from uoarm.client import RemoteRobot, RemoteStream, ServerError, connect
+from uoarm.client._socket import ClientSocket
 from uoarm.config import loads
 from uoarm.model import Endpoint, Message, MessageStructure
 from uoarm.server import (
@@ -372,6 +373,27 @@ async def test_a_token_is_shown_and_a_denial_has_its_code(serve: Serve, tmp_path
 
 
 HELLO = '{"op":"Status","type":"hello","jsonMessage":{}}'
+
+
+async def test_a_server_that_closes_at_once_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = ClientSocket.open
+
+    async def open_until_closed(*arguments: Any, **options: Any) -> ClientSocket:
+        socket = await opened(*arguments, **options)
+        await socket.wait_closed()
+        return socket
+
+    monkeypatch.setattr(ClientSocket, "open", open_until_closed)
+
+    async def close(connection: ServerConnection) -> None:
+        await connection.close(1008, "go away")
+
+    protocols = [Subprotocol("uoarm.v1.cbor")]
+    async with serve(close, "127.0.0.1", 0, subprotocols=protocols) as server:
+        url = f"ws://127.0.0.1:{next(iter(server.sockets)).getsockname()[1]}/"
+        async with connect(url) as client:
+            with pytest.raises(ConnectionClosedError, match="go away"):
+                await client.functions()
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import random
 import ssl
 import threading
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -110,7 +111,8 @@ class Link:
         self._begin_to_send()
         self._resume = resume
         if resume:
-            await self._write(self._socket, _timed(_KEEP))
+            with suppress(ConnectionClosed):  # so soon; `receive` finds it as it does a later end
+                await self._write(self._socket, _timed(_KEEP))
 
     async def send(self, fields: Mapping[str, Any], session: int | None = None) -> None:
         """Send one message that will be answered; waits while the connection is renewed.
