@@ -28,7 +28,7 @@ from uoarm._hints.convert import reader, writer
 from uoarm._hints.schemas import is_plain, is_record
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.local import HintError, schema_of
+from uoarm.local import HintError, Range, Shape, schema_of
 from uoarm.model import MessageStructure, Role, ValidationMode
 from uoarm.schema import check
 from uoarm.testing import patience, same
@@ -121,6 +121,22 @@ def test_hints_of_numpy_have_structures() -> None:
 @dataclass
 class Person:
     name: str
+
+
+def test_what_is_noted_of_numbers_is_in_the_structure_of_their_arrays() -> None:
+    metres = {"x-unit": "m"}
+    reals = Annotated[NDArray[np.float32], metres, Range(0, 5)]
+    number = {"type": "number", "minimum": 0, "maximum": 5}
+    assert schema_of(reals) == {"type": "array", "items": number, **metres}
+    grid: Any = schema_of(Annotated[NDArray[np.float32], metres, Shape(2, 3), Range(0, 5)])
+    assert grid["items"] == {"type": "array", "items": number, "minItems": 3, "maxItems": 3}
+    assert (grid["x-unit"], grid["maxItems"]) == ("m", 2)
+    assert schema_of(Annotated[list[float], Range(0, 5)]) == {"type": "array", "items": number}
+    either: Any = schema_of(Annotated[tuple[float, float] | None, Range(0, 5)])
+    assert either["anyOf"][0]["prefixItems"] == [number, number]
+    for hint in (Annotated[list[float], Shape(3)], Annotated[NDArray[np.float32] | None, Shape(3)]):
+        with pytest.raises(HintError, match="Shape belongs to arrays of numpy"):
+            schema_of(hint)
 
 
 class Level(IntEnum):

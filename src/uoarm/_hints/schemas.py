@@ -28,6 +28,7 @@ from uoarm._hints.arrays import (
     HintError,
     OctetsMark,
     Range,
+    Shape,
     array_of,
     is_class,
     scalar_of,
@@ -80,7 +81,8 @@ def schema_of(hint: Any, depth: int = 0) -> Mapping[str, object]:
         return _model(hint)
     numbers = scalar_of(hint) or array_of(hint)
     if numbers is not None:
-        return numbers.schema
+        notes = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+        return _annotated(numbers.schema, [note for note in notes if not isinstance(note, Shape)])
     fields = fields_of(hint)
     if fields is not None:
         return _object(fields, depth)
@@ -181,14 +183,27 @@ def _generic(hint: Any, depth: int) -> Mapping[str, object]:
 
 
 def _annotated(schema: Mapping[str, object], notes: Iterable[object]) -> Mapping[str, object]:
-    bounded = dict(schema)
+    made = dict(schema)
     for note in notes:
         if isinstance(note, Range):
             bounds = {"minimum": note.minimum, "maximum": note.maximum}
-            bounded |= {key: value for key, value in bounds.items() if value is not None}
+            known = {key: value for key, value in bounds.items() if value is not None}
+            made = dict(_bounded(made, known))
+        elif isinstance(note, Shape):
+            raise HintError("Shape belongs to arrays of numpy: Annotated[NDArray[...], Shape(...)]")
         elif isinstance(note, Mapping):
-            bounded |= note
-    return bounded
+            made |= note
+    return made
+
+
+def _bounded(schema: Mapping[str, Any], bounds: Mapping[str, object]) -> Mapping[str, object]:
+    """Return a schema with bounds of its numbers, which may be in arrays and choices."""
+    if schema.get("items"):
+        return {**schema, "items": _bounded(schema["items"], bounds)}
+    for key in ("anyOf", "prefixItems"):
+        if key in schema:
+            return {**schema, key: [_bounded(part, bounds) for part in schema[key]]}
+    return {**schema, **bounds}
 
 
 def _tuple(arguments: tuple[Any, ...], depth: int) -> Mapping[str, object]:
