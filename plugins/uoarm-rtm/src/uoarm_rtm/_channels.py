@@ -281,9 +281,10 @@ class InPortSink(Sink):
         """Hand one message to the port.
 
         Raises:
-            MessageError: it does not fit the data type; the text names the field.
-            BridgeError: the component is gone or refuses the data, the message is larger than an
-                ORB takes, our buffer is full, or the channel was closed meanwhile.
+            MessageError: it does not fit the data type; the text names the field. Or it is larger
+                than an ORB takes.
+            BridgeError: the component is gone or refuses the data, our buffer is full, or the
+                channel was closed meanwhile.
             BridgeTimeoutError: the component does not answer in time.
         """
         self._require_open()
@@ -341,20 +342,25 @@ class InPortSink(Sink):
             self._put(data)
         except BridgeTimeoutError:
             self._lost_on_link += 1  # it is reported; the component may be back for the next
+        except MessageError as error:
+            self._degrade(error)
         except BridgeError as error:
             if error.reason is FailureReason.UNAVAILABLE:
                 self._gone = str(error)
             if error.reason is not FailureReason.REFUSED:  # which is counted as that
                 self._lost_on_link += 1
-            self.health.degrade(str(error).removeprefix(self._remote.where).lstrip(": "))
+            self._degrade(error)
         else:
             self.health.note_message()
+
+    def _degrade(self, error: Exception) -> None:
+        self.health.degrade(str(error).removeprefix(self._remote.where).lstrip(": "))
 
     def _put(self, data: bytes) -> None:
         too_large = self._sizes.refusal(len(data))
         if too_large:
             self._refused += 1
-            raise BridgeError(too_large, FailureReason.REFUSED)
+            raise MessageError(too_large)
         try:
             with calls, self._putting:
                 status = self._target.put(data)
@@ -367,7 +373,7 @@ class InPortSink(Sink):
             too_large = self._sizes.explain(error, self._target, len(data))
             if too_large:
                 self._refused += 1
-                raise BridgeError(too_large, FailureReason.REFUSED) from error
+                raise MessageError(too_large) from error
             cause = f"is gone ({corba_text(error)})"
             self.health.lose(cause)
             text = f"{self._remote.where} {cause}"
