@@ -93,6 +93,28 @@ def test_one_that_falls_silent_is_lost_when_its_patience_is_over(stage: Stage) -
     assert 4.0 <= stage.clock.now() <= 7.1  # half its patience after the last one, or twice
 
 
+def test_a_look_says_when_the_next_one_may_be_stale(stage: Stage) -> None:
+    assert stage.watch.look() is None
+    connection = stage.robot.request("camera")
+    assert stage.watch.look() == 2.0
+    stage.play(12, 1.5)
+    assert stage.watch.look() == 0.5
+    stage.play(4, 0.5)  # a new patience begins
+    assert stage.watch.look() == 2.0
+    connection.kill()
+    assert stage.watch.look() is None
+    assert stage.events == []
+
+
+def test_what_is_opened_and_closed_is_looked_at_at_once(stage: Stage) -> None:
+    looks: list[float | None] = []
+    stage.robot._driver.when_changed = lambda: looks.append(stage.watch.look())
+    connection = stage.robot.request("camera")
+    assert looks[-1] == 2.0
+    connection.kill()
+    assert looks[-1] is None
+
+
 def test_one_that_is_half_as_fast_passes_and_a_slower_one_does_not(stage: Stage) -> None:
     stage.robot.request("camera")
     stage.watch.look()
@@ -321,7 +343,7 @@ class Silent:
 
 
 def test_a_look_at_many_looks_at_each_edge_once() -> None:
-    """It comes ten times a second, in a manager that has nothing else to do."""
+    """It comes up to ten times a second, while much changes."""
     components = [Silent() for _ in range(200)]
     edges = [CountedEdge(*pair) for pair in itertools.pairwise(components)]
     given: Any = (lambda: components, lambda: edges, [].append, ManualClock())

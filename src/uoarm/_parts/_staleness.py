@@ -13,7 +13,7 @@ from uoarm._parts._component import LiveComponent, LiveEdge
 from uoarm.bridge import HealthEvent
 from uoarm.model import Expectation, Health
 
-_LOOK_SECONDS = 0.1
+_CALM_SECONDS = 0.1
 _ENOUGH = 0.5
 
 _Output: TypeAlias = tuple[LiveComponent, str]
@@ -70,35 +70,45 @@ class StalenessWatch:
         self._report = report
         self._clock = clock
         self._windows: dict[_Output, _Window] = {}
+        self._changed = threading.Event()
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="uoarm-stale", daemon=True)
 
     def start(self) -> None:
-        """Look ten times a second from now on. Idempotent; by one thread at a time."""
+        """Look when one may be stale, and after changes. Idempotent; by one thread at a time."""
         if self._thread.ident is None:
             self._thread.start()
 
     def close(self) -> None:
         """Look no more."""
         self._stopped.set()
+        self._changed.set()
 
-    def look(self) -> None:
-        """Look once."""
+    def changed(self) -> None:
+        """Look soon: something was opened, attached or closed. From any thread; quick."""
+        self._changed.set()
+
+    def look(self) -> float | None:
+        """Look once; return in how many seconds one may be stale, None where none can be."""
         now = self._clock()
         before, self._windows = self._windows, {}
+        due: list[float] = []
         edges: dict[LiveComponent, list[LiveEdge]] = {}
         for joined in self._edges():
             edges.setdefault(joined.consumer, []).append(joined)
         for (live, output), expect in self._expectations(edges).items():
             routes = live.outlets[output].routes
             if not routes:
+                due.append(expect.patience)  # an offer may attach one without an event
                 continue
             routed = (joined.route for joined in edges.get(live, ()))
             feeds = frozenset(route for route in routed if route is not None)
             window = before.get((live, output))
             if window is None or window.route not in routes or window.feeds != feeds:
                 window = _Window(routes[0], feeds, now)
-            self._windows[live, output] = self._judge(live, output, expect, window, now)
+            self._windows[live, output] = window = self._judge(live, output, expect, window, now)
+            due.append(window.began + expect.patience - now)
+        return min(due, default=None)
 
     def _expectations(
         self, edges: Mapping[LiveComponent, Sequence[LiveEdge]]
@@ -142,8 +152,10 @@ class StalenessWatch:
         return _Window(window.route, window.feeds, now)
 
     def _run(self) -> None:
-        while not self._stopped.wait(_LOOK_SECONDS):
-            self.look()
+        # Many changes come at once: they are looked at together.
+        while not self._stopped.wait(_CALM_SECONDS):
+            self._changed.clear()  # before the look, which sees what changed until then
+            self._changed.wait(self.look())
 
 
 def _refused(window: _Window) -> str:

@@ -72,6 +72,7 @@ class Driver:
         deaths: how often each component was lost, of the thousand that were last.
         takeovers: how often a plan took over, by function, of as many.
         timer: of the one time that is waited for.
+        when_changed: called after events were handled; must return at once.
     """
 
     def __init__(
@@ -98,8 +99,7 @@ class Driver:
         self._events: deque[ev.Event] = deque()
         # Guards the state and the order of events: two owners would give `step` the same state.
         self._owning = threading.Lock()
-        # One for each wait, not for each connection: two threads that kill one at once both get a
-        # reply.
+        # One for each wait: two threads that kill a connection at once both get a reply.
         self._numbers = itertools.count()
         # Thousands of lanes begin with the death of a bridge. A thread for each would fight for the
         # interpreter; but those that a bridge holds up must hold up no others.
@@ -108,11 +108,11 @@ class Driver:
         # Lanes for which there was no thread; appended by any thread, taken by the timer's.
         self._unstarted: deque[Job] = deque()
         self.timer = Timer(clock, self._reach_time)
+        self.when_changed: Callable[[], None] = lambda: None
         # Read by the threads that open, which take a look before each part: one look too early
         # opens one part more, which comes back with the others and is closed.
         self._cancelled: set[int] = set()
-        # Replaced as a whole by the owner, read by a thread that waits for a change of
-        # configuration.
+        # Replaced as a whole by the owner, read by a thread that waits for a new configuration.
         self._undelivered: tuple[StartDelivery, ...] = ()
 
     def post(self, event: ev.Event) -> None:
@@ -123,8 +123,7 @@ class Driver:
             self._work()
 
     def _work(self) -> None:
-        # A thread that finds the state owned leaves its event to the owner, which looks once more
-        # after it let go: an event that came between is not left lying.
+        # Who finds the state owned leaves its event to the owner, who looks again after it let go.
         while self._events and self._owning.acquire(blocking=False):
             try:
                 self._handle_all()
@@ -134,6 +133,7 @@ class Driver:
     def _handle_all(self) -> None:
         while self._events:
             self._handle(self._events.popleft())
+        self.when_changed()
 
     def request(
         self, runtime: ConnectionRuntime, event: ev.Requested, step_name: str, timeout: float
