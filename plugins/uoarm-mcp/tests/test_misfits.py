@@ -7,6 +7,7 @@ import os
 import random
 import socket
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 import httpx2
@@ -146,6 +147,25 @@ def test_a_later_head_comes_in_time_too(serve: Any, access: Any) -> None:
             """Read what is left of the answer, until the connection is cut."""
 
 
+def _ask_for(agents: Agents, kept: str, connection: socket.socket) -> None:
+    """Ask for what is kept, over a connection of its own."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    connection.settimeout(patience())
+    connection.connect(agents.address)
+    body, headers = agents.request("resources/read", kept, uri=kept)
+    request = httpx2.Request("POST", agents.url, json=body, headers=headers)
+    lines = "".join(f"{name}: {value}\r\n" for name, value in request.headers.items())
+    connection.sendall(f"POST /mcp HTTP/1.1\r\n{lines}\r\n".encode() + request.read())
+
+
+def _long(agents: Agents) -> str:
+    """Return the address of a kept value whose 11 MB are more than the system takes at once."""
+    script.pictures.put({"width": 2000, "height": 4000, "data": bytes(8_000_000)})
+    kept = agents.call("read_picture", {"seconds": 30}).content[1]
+    assert isinstance(kept, ResourceLink)
+    return kept.uri
+
+
 def test_who_does_not_read_an_answer_is_cut(
     serve: Any, access: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -160,15 +180,20 @@ def test_who_does_not_read_an_answer_is_cut(
     monkeypatch.setattr(_http, "_BoundedProtocol", Noting)
     server = serve(Limits(stall_seconds=slowness() * 0.1), access=access)
     with Agents(server.ports, TOKENS) as agents, socket.socket() as connection:
-        kept = agents.call("many", {"count": 1_000_000}).content[1]
-        assert isinstance(kept, ResourceLink)
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        connection.connect(agents.address)
-        body, headers = agents.request("resources/read", kept.uri, uri=kept.uri)
-        request = httpx2.Request("POST", agents.url, json=body, headers=headers)
-        lines = "".join(f"{name}: {value}\r\n" for name, value in request.headers.items())
-        connection.sendall(f"POST /mcp HTTP/1.1\r\n{lines}\r\n".encode() + request.read())
+        _ask_for(agents, _long(agents), connection)
         wait(lambda: lost, "it is cut")
+
+
+def test_answers_that_are_not_read_are_memory_of_their_client(serve: Any, access: Any) -> None:
+    server = serve(Limits(memory_bytes=40_000_000, stall_seconds=patience()), access=access)
+    with Agents(server.ports, TOKENS) as agents, ExitStack() as stack:
+        kept = _long(agents)
+        connections = [stack.enter_context(socket.socket()) for _ in range(3)]
+        for connection in connections:
+            _ask_for(agents, kept, connection)
+        heads = sorted(connection.recv(12) for connection in connections)
+        assert heads == [b"HTTP/1.1 200", b"HTTP/1.1 200", b"HTTP/1.1 503"]
+        assert agents.facts("add", {"a": 1, "b": 2}, "other")["result"] == {"value": 3}
 
 
 def test_who_has_no_token_or_is_a_strange_page_is_not_let_in(agents: Agents) -> None:

@@ -21,7 +21,17 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uoarm.errors import ControlMessageError
 from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.server import Limits
-from uoarm.server.front_end import Discoveries, HttpPlace, RefusedError, StatelessClient, coded_text
+from uoarm.server.front_end import (
+    BusyError,
+    Charge,
+    Discoveries,
+    HttpPlace,
+    LimitError,
+    MemoryUse,
+    RefusedError,
+    StatelessClient,
+    coded_text,
+)
 from uoarm_mcp._service import CLIENT, AgentService
 
 PATH = "/mcp"
@@ -32,6 +42,7 @@ _IDLE_SECONDS = 600.0
 _KEPT_SECONDS = 60
 _HEAD_OCTETS = 65_536
 _MOST_AHEAD = 16
+_PIECE_OCTETS = 65_536
 _WELL = 200
 _SESSION = MCP_SESSION_ID_HEADER.encode()
 _REVISION = MCP_PROTOCOL_VERSION_HEADER.encode()
@@ -249,16 +260,11 @@ class AdmittingApp:
             await self._service.prepare(client, headers.get(b"mcp-name", b"").decode("latin-1"))
         token = AccessToken(token="-", client_id=client.identity, scopes=[])  # noqa: S106
         admitted = {**scope, CLIENT: client, "user": AuthenticatedUser(token)}
-        begun = False
-
-        async def noting(message: MutableMapping[str, Any]) -> None:
-            nonlocal begun
-            begun = True
-            await send(message)
+        sending = _Sending(client, send)
 
         # What lasts, as a stream of notices, ends with the client's rights.
         task = asyncio.ensure_future(
-            self._sessions.answer(client, admitted, _again(body, receive), noting)
+            self._sessions.answer(client, admitted, _again(body, receive), sending.send)
         )
         if client not in self._under_way:
             self._under_way[client] = set()
@@ -270,17 +276,56 @@ class AdmittingApp:
             task.cancel()
             if not client.has_ended:
                 raise
-            if begun:
+            if sending.has_begun:
                 await send({"type": "http.response.body", "body": b""})
             else:
                 await _answer(send, 401, "the rights of this client have ended")
         finally:
+            sending.close()
             if client in self._under_way:
                 self._under_way[client].discard(task)
 
     def _end(self, client: StatelessClient) -> None:
         for task in self._under_way.pop(client, set()):
             task.cancel()
+
+
+class _Sending:
+    """An answer on its way to a client, whose memory it is until the client has read it.
+
+    It goes out in pieces, each when those before it were read: the parser takes it whole.
+    """
+
+    def __init__(self, client: StatelessClient, send: _Send) -> None:
+        self.has_begun = False
+        self._client = client
+        self._send = send
+        self._charge: Charge | None = None
+        self._is_refused = False
+
+    async def send(self, message: MutableMapping[str, Any]) -> None:
+        """Send a part of it; there is another answer where the client has too much memory held."""
+        if self._is_refused:
+            return
+        if message["type"] == "http.response.start":
+            self.has_begun = True
+            size = int(dict(message["headers"]).get(b"content-length", 0))
+            try:
+                self._charge = self._client.account.charge(MemoryUse.ANSWERS, size)
+            except (BusyError, LimitError) as error:
+                self._is_refused = True
+                await _answer(self._send, 503, coded_text(error))
+                return
+        rest = memoryview(message.get("body", b""))
+        while len(rest) > _PIECE_OCTETS:
+            piece, rest = bytes(rest[:_PIECE_OCTETS]), rest[_PIECE_OCTETS:]
+            await self._send({"type": message["type"], "body": piece, "more_body": True})
+        await self._send({**message, "body": bytes(rest)} if "body" in message else message)
+
+    def close(self) -> None:
+        """Let go of it: it was read, or never will be."""
+        if self._charge is not None:
+            self._charge.release()
 
 
 async def _body(receive: _Receive, most: int) -> bytes | None:
