@@ -1,8 +1,8 @@
-"""Mutation testing with mutmut of the containment checker, of adapters, or of the engine.
+"""Mutation testing with mutmut: of the containment checker, adapters, meaning or the engine.
 
 Which changes of the code do the tests notice?
 
-Usage: ``python -m bench.mutation [schema | adapt | control] [--sample 300] [--seed 0]
+Usage: ``python -m bench.mutation [schema | adapt | meaning | control] [--sample 300] [--seed 0]
 [--module NAME ...] [--children 2]``. Works on a copy below the cache folder: nothing here changes.
 Prints a table of killed and surviving mutants by module, and the survivors; without ``--sample``
 all are run.
@@ -63,6 +63,7 @@ SUBJECTS = {
         "not sizes and not hostile",
     ),
     "adapt": Subject("src/uoarm/_adapt", ("tests/adapt/test_*.py",), "not hostile"),
+    "meaning": Subject("src/uoarm/_meaning", ("tests/meaning/test_*.py",), "not without_pint"),
     "control": Subject(
         "src/uoarm/_control/engine",
         (

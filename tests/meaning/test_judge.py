@@ -154,6 +154,8 @@ def test_equal_types_say_what_is_within() -> None:
     verdict = edge(one, other)
     assert verdict.compatible
     assert "has version 1, the consumer's 2" in verdict.warnings[0]
+    hashed = [{**one, "x-type": {"name": "x/Reading", "hash": text}} for text in "ab"]
+    assert "has hash a, the consumer's b" in edge(*hashed).warnings[0]
 
 
 def test_constants_of_one_type_have_one_value_and_new_ones_are_noted() -> None:
@@ -231,6 +233,8 @@ def test_a_choice_is_judged_branch_by_branch() -> None:
         False  # oneOf: both branches take every number
     )
     assert edge(unit("m"), {"anyOf": [unit("s"), unit("m")]}).compatible
+    whole = {"anyOf": [{"type": "integer", "x-unit": "m"}, none]}
+    assert not edge(whole, {"anyOf": [unit("s"), none]}).compatible
 
 
 @pytest.mark.parametrize(

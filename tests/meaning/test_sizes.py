@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.schema._hand_schemas import hand_schema
 from tests.schema._random_choices import RandomChoices
+from tests.structures import closed
 
 from uoarm._adapt import check_edge
 from uoarm._meaning import JSON_LIMIT, OCTETS_LIMIT, sizes_of
@@ -72,6 +73,9 @@ def written(message: Any) -> int:
             2,
         ),
         ({"type": ["integer", "null"], "minimum": 0, "maximum": 9}, 1, 4),
+        (closed(a={"type": "null"}), 10, 10),
+        ({**closed(a={"type": "null"}), "additionalProperties": True}, 10, math.inf),
+        ({**closed(a={"type": "null"}), "patternProperties": {"^b": True}}, 10, math.inf),
     ],
 )
 def test_what_is_known(schema: Any, least: int, most: float) -> None:

@@ -195,6 +195,7 @@ MBy/s By/s 1000000
 lx lm/m2 1
 mcd cd 1/1000
 2.10*3.m km 2
+60.s min 1
 mol mmol 1000
 mmol/L mol/m3 1
 u kg 1.66053906892e-27
