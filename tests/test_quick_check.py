@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from uoarm._mistakes import certainly_matches
+from uoarm._mistakes import certainly_matches, nearest
 from uoarm._support.yaml import read_file
 from uoarm.bridge import Registry
 from uoarm.config import published_schema
@@ -95,3 +96,21 @@ def test_what_is_not_certain_is_left_to_the_validator(value: Any, schema: Any) -
     if "minimum" in schema:
         value = 1
     assert not certainly_matches(value, schema)
+
+
+def test_the_nearest_of_many_words_is_found_among_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[int] = []
+    original = difflib.get_close_matches
+
+    def count(word: str, known: list[str], n: int) -> list[str]:
+        compared.append(len(known))
+        return original(word, known, n=n)
+
+    monkeypatch.setattr(difflib, "get_close_matches", count)
+    many = [
+        f"{part}Function{number}" for number in range(1000) for part in ("front", "rear", "arm")
+    ]
+    assert nearest("rearFuncton271", many) == "rearFunction271"
+    assert nearest("quite other", many) == ""
+    assert nearest("scann", ["scan", "map"]) == "scan"
+    assert compared == [64, 64, 2]

@@ -10,6 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
+from heapq import nlargest
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from uoarm._support.yaml import Path, clip
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
 
 _COMPARISONS = 300_000
+_COMPARED = 64
 _CALL = 20
 _LONGEST = 128
 _LISTED = 8
@@ -63,6 +66,19 @@ _SILENT = frozenset(
 _DEPTH = 200
 
 
+def nearest(word: str, known: Collection[str]) -> str:
+    """Return the known word that was meant, "" where none is near.
+
+    Of many words those are compared letter by letter that share most pairs of letters.
+    """
+    import difflib  # noqa: PLC0415 - for mistakes only
+
+    if len(known) > _COMPARED:
+        pairs = set(pairwise(word))
+        known = nlargest(_COMPARED, known, lambda name: len(pairs.intersection(pairwise(name))))
+    return next(iter(difflib.get_close_matches(word, known, n=1)), "")
+
+
 class Speller:
     """Finds the nearest known word; stops guessing when one file has cost enough comparisons.
 
@@ -77,10 +93,8 @@ class Speller:
         self._left -= len(known) + _CALL
         if self._left < 0 or len(word) > _LONGEST:
             return ""
-        import difflib  # noqa: PLC0415 - for mistakes only
-
-        close = difflib.get_close_matches(word, known, n=1)
-        return f'did you mean "{close[0]}"?' if close else ""
+        close = nearest(word, known)
+        return f'did you mean "{close}"?' if close else ""
 
     def guess_or_list(self, word: str, known: Collection[str], what: str) -> str:
         """Return a guess, or where there is none the first few known words."""

@@ -5,7 +5,6 @@ A plan that can take the place of another is found here, too.
 
 from __future__ import annotations
 
-import difflib
 import math
 import threading
 import time
@@ -14,6 +13,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from attrs import frozen
 
 from uoarm._adapt import check_edge
+from uoarm._mistakes import nearest
 from uoarm._resolve._catalogue import EdgeCheck, StructureCatalogue
 from uoarm._resolve._proofs import EdgeChecks
 from uoarm._resolve._search import Search
@@ -124,8 +124,8 @@ class Resolver:
         if plan is not None and not excluded:
             return plan
         if name not in self._functions:
-            close = difflib.get_close_matches(name, self._functions, n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
+            close = nearest(name, self._functions)
+            hint = f"; did you mean {close!r}?" if close else ""
             text = f"there is no function {name!r} in the configuration{hint}"
             raise ResolutionError(text, error_code="UOA-202")
         # What is invalidated meanwhile may be in the plan: it is sought anew, and not kept when
