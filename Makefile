@@ -99,6 +99,7 @@ mutation: $(VENV)/.dev  ## mutation tests of the schema checker and the reconcil
 	$(BIN)/python -m bench.mutation schema --sample 300
 	$(BIN)/python -m bench.mutation control --sample 300
 	$(BIN)/python -m bench.mutation adapt --sample 200
+	$(BIN)/python -m bench.mutation meaning --sample 200
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "$(PYTHON) is too old: choose Python 3.10 or later, make PYTHON=...")'
