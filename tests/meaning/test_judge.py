@@ -256,6 +256,18 @@ def test_an_alternative_is_compared_with_those_that_its_messages_may_be(tag: Any
     ]
 
 
+def test_tags_may_be_numbers_that_python_does_not_write() -> None:
+    def choice(*units: str) -> dict[str, Any]:
+        tags = (10**5000, "b")
+        parts = [
+            closed(kind={"const": tag}, x=unit(said)) for tag, said in zip(tags, units, strict=True)
+        ]
+        return {"anyOf": parts}
+
+    assert not judge(choice("m", "s"), choice("m", "s")).differences
+    assert len(judge(choice("m", "s"), choice("s", "m")).differences) == 2
+
+
 def test_structures_that_refer_to_themselves_are_judged_once_around() -> None:
     def tree(name: str) -> dict[str, Any]:
         node = closed(value=unit(name), children={"type": "array", "items": {"$ref": "#/$defs/n"}})

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 
 from attrs import define, field, frozen
 
+from uoarm._encodable import shown
 from uoarm._meaning._units import Conversion, UnitError, conversion
 from uoarm.schema import document_of, follow
 
@@ -551,10 +552,10 @@ def _has_room(one: Said, other: Said) -> bool:
 
 
 def _values(schema: Said) -> list[str]:
-    """Return the only values of a schema as texts; none where it names none."""
+    """Return the only values of a schema as texts, long ones cut; none where it names none."""
     values = [schema["const"]] if "const" in schema else schema.get("enum", ())
     return [
-        repr(int(value) if isinstance(value, float) and value.is_integer() else value)
+        shown(int(value) if isinstance(value, float) and value.is_integer() else value)
         for value in values
     ]
 
