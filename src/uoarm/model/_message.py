@@ -67,8 +67,11 @@ class MessageStructure:
 def _text(value: Any) -> str:
     try:
         return json.dumps(value, sort_keys=True, separators=(",", ":"))
-    except ValueError:  # Python writes whole numbers of 4,300 digits at most in tens
-        return json.dumps(_in_hex(value), sort_keys=True, separators=(",", ":"))
+    except ValueError as error:  # Python writes whole numbers of 4,300 digits at most in tens
+        try:
+            return json.dumps(_in_hex(value), sort_keys=True, separators=(",", ":"))
+        except RecursionError:  # a part of itself
+            raise error from None
 
 
 def _in_hex(value: Any) -> Any:
