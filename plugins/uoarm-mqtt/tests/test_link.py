@@ -18,6 +18,7 @@ from uoarm_mqtt._options import BrokerOptions, connection_options
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
 from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Health
 from uoarm.testing import Background, patience, wait
 
 
@@ -188,3 +189,50 @@ def test_what_a_broker_has_forgotten_is_under_way_no_more(link: BrokerConnection
     link.require_up()
     assert not link._client._in_messages
     link.close()
+
+
+RESUMED = bytes((0x20, 3, 1, 0, 0))
+ANSWERS = {0x82: 0x90, 0xA2: 0xB0}  # of SUBSCRIBE and UNSUBSCRIBE
+
+
+def asked(connection: socket.socket) -> tuple[bytes, int]:
+    """Return the answer to the next packet, a subscription or the end of one, and its kind."""
+    packet = connection.recv(4096)
+    return bytes((ANSWERS[packet[0]], 4, *packet[2:4], 0, 0)), packet[0]
+
+
+def test_what_is_left_in_a_break_is_left_before_it_is_up_again() -> None:
+    is_left = threading.Event()
+    reports: list[tuple[Health, bool]] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"mqtt://127.0.0.1:{server.getsockname()[1]}"
+        options = connection_options("m", BrokerOptions.of({"url": url, "grace": patience()}))
+
+        def report(health: Health, _: str) -> None:
+            reports.append((health, is_left.is_set()))
+
+        link = BrokerConnection("m", options, report)
+        receiver = Receiver("$share/work/a", lambda _: None)
+        subscribing = Background(lambda: link.subscribe(receiver))
+        first, _ = server.accept()
+        with first:
+            first.settimeout(patience())
+            assert first.recv(4096)
+            first.sendall(CONNACK)
+            first.sendall(asked(first)[0])
+            subscribing.result()
+        wait(lambda: reports, "the break is not noticed")
+        link.unsubscribe(receiver)
+        second, _ = server.accept()
+        with second:
+            second.settimeout(patience())
+            assert second.recv(4096)
+            second.sendall(RESUMED)
+            answer, kind = asked(second)
+            assert kind == 0xA2
+            is_left.set()
+            second.sendall(answer)
+            wait(lambda: len(reports) > 1, "it is not up again")
+        server.close()
+        link.close()
+    assert reports[:2] == [(Health.DEGRADED, False), (Health.OK, True)]

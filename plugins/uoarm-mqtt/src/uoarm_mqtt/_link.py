@@ -62,6 +62,10 @@ Done = Callable[[PacketOutcome], object]
 """Takes once how a packet ended, from any thread; must return at once."""
 
 
+def _ignore(_: PacketOutcome) -> None:
+    """For packets on whose end nothing depends."""
+
+
 @define
 class _Pending:
     done: Done
@@ -306,7 +310,9 @@ class BrokerConnection:
         info = self._client.publish(topic, payload, 1, retain=True)
         self._note(("p", info.mid), _Pending(_ignore, survives=True))
 
-    def _leave(self, topic: str, id_: int) -> None:
+    def _leave(
+        self, topic: str, id_: int, ended: Callable[[PacketOutcome], object] = _ignore
+    ) -> None:
         _, mid = self._client.unsubscribe(topic)
         if mid is None:
             return  # not connected: it is left once it is
@@ -315,6 +321,7 @@ class BrokerConnection:
             if outcome.is_answer:
                 with self._changed:
                     self._subscriptions.left(topic, id_)
+            ended(outcome)
 
         self._note(("u", mid), _Pending(done, survives=False))
 
@@ -406,11 +413,7 @@ class BrokerConnection:
             receivers = [
                 (receiver, self._subscriptions.add(receiver)) for receiver in self._subscriptions
             ]
-        for left_topic, id_ in leaving:
-            self._leave(left_topic, id_)
-        if (said := self.options.announcement) is not None:
-            self._announce(said.topic, said.online())
-        left = len(receivers)
+        left = len(receivers) + len(leaving)
 
         def ready() -> None:
             with self._changed:
@@ -420,22 +423,28 @@ class BrokerConnection:
             if health is not None:
                 self.report(health, "connected to the broker")
 
-        def resumed(receiver: Receiver, outcome: PacketOutcome) -> None:
+        def answered(outcome: PacketOutcome) -> None:
             nonlocal left
-            if not outcome.is_answer:
-                return  # it broke again
-            left -= 1
-            if outcome.failure:
-                receiver.refused(outcome.failure)
+            left -= outcome.is_answer  # else it broke again
             if not left:
                 ready()
 
+        def resumed(receiver: Receiver, outcome: PacketOutcome) -> None:
+            if outcome.is_answer and outcome.failure:
+                receiver.refused(outcome.failure)
+            answered(outcome)
+
+        # What is not left yet takes messages from those that share it.
+        for left_topic, id_ in leaving:
+            self._leave(left_topic, id_, answered)
+        if (said := self.options.announcement) is not None:
+            self._announce(said.topic, said.online())
         for receiver, qos in receivers:
             _, mid = self._subscribe(receiver, qos)
             if mid is not None:
                 pending = _Pending(partial(resumed, receiver), survives=False)
                 self._note(("s", mid), pending)
-        if not receivers:
+        if not (receivers or leaving):
             ready()
 
     def _on_connect_fail(self, client: Client, user: Any) -> None:
@@ -511,7 +520,3 @@ def _send_at_once(client: Client, user: Any, opened: Any) -> None:
     """Have the system send small packets at once, instead of up to 40 ms later."""
     del client, user
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-
-def _ignore(_: PacketOutcome) -> None:
-    """For packets on whose end nothing depends."""
