@@ -258,6 +258,24 @@ def test_what_a_hint_does_not_promise_is_given_to_none(wrong: Any) -> None:
     }  # fmt: skip
 
 
+class Count(TypedDict):
+    number: int
+    noted: Annotated[int, Range(0, 9)]
+    data: bytes
+
+
+def test_a_whole_number_may_be_written_as_a_float() -> None:
+    read, write = reader(Count, "here"), writer(Count, "here")
+    assert read is not None
+    assert write is not None
+    message = {"number": 1.0, "noted": 2.0, "data": b""}
+    for count in (read(message), write(message)):
+        assert count == {"number": 1, "noted": 2, "data": b""}
+        assert [type(value) for value in count.values()] == [int, int, bytes]
+    with pytest.raises(BridgeError, match="number"):
+        write({**message, "number": 1.5})
+
+
 def test_an_enumeration_of_what_is_no_json_has_no_structure() -> None:
     with pytest.raises(HintError, match="neither texts, numbers"):
         schema_of(Enum("Colour", {"RED": (255, 0, 0)}))

@@ -97,6 +97,8 @@ def integer(value: Any) -> int:
         return value
     if isinstance(value, bool):
         raise TypeError(f"expected an integer, got {shown(value)}")
+    if isinstance(value, float) and value.is_integer():  # one of JSON Schema
+        return int(value)
     try:
         return operator.index(value)
     except TypeError:

@@ -376,6 +376,8 @@ def _same(value: Any) -> Any:
 
 
 def _primitive(value: Any, kind: Any) -> Any:
+    if kind is int and value.__class__ is float:  # 1.0, which is an integer of JSON Schema
+        return int(value)
     # cattrs asks for what is a number or a text by its class, an IntEnum too.
     return value if kind in _PRIMITIVES else kind(value)
 
