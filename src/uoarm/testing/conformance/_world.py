@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import pytest
-from attrs import frozen
+from attrs import field, frozen
 
 from uoarm._raised import text_of
 from uoarm.bridge import Bridge, Registry, Sink, Source
@@ -23,11 +23,12 @@ from uoarm.errors import MessageError
 from uoarm.model import BridgeSpec, Endpoint, Message, MessageStructure, Schema
 from uoarm.schema import check, follow
 from uoarm.testing._resources import hold_idle
-from uoarm.testing._waiting import Background, Collector, patience, plain, same
+from uoarm.testing._waiting import Background, Collector, patience, plain, same, slowness
 
 _BUFFERS = (bytes, bytearray, memoryview)
 _LONG = 300
 _SHOWN = 2000
+_AGAIN_SECONDS = 1.0
 _SAMPLES: Mapping[str, Any] = {"boolean": True, "integer": 1, "number": 1.0, "string": "item"}
 _RESTRICTIONS = frozenset(
     {"const", "contains", "enum", "format", "maxItems", "maxLength", "pattern", "uniqueItems"}
@@ -349,6 +350,9 @@ class Line:
     sink: Sink
     source: Source
     collector: Collector
+    # Of what did not come: a line that loses does so again, as Hypothesis looks for less that shows
+    # it, and each of these looks would last as long as the first.
+    _lost: list[Message] = field(factory=list, init=False)
 
     def send(self, message: Message) -> None:
         """Send one message, its octets as bytes."""
@@ -374,7 +378,16 @@ class Line:
         before = len(self.collector.messages)
         for message in messages:
             self.send(message)
-        came = self.collector.wait(before + len(messages), self.world.patience)[before:]
+        limit = self.world.patience
+        if self._lost:
+            limit = min(limit, _AGAIN_SECONDS * slowness())
+        try:
+            came = self.collector.wait(before + len(messages), limit)[before:]
+        except AssertionError as error:
+            self._lost.extend(messages)
+            came = self.collector.messages[before:]
+            text = f"{error}: sent {_shown(list(messages))}, came {_shown(came)}"
+            raise AssertionError(text) from None
         wanted = [self.world.carried(self.kind, message) for message in messages]
         for sent, got in zip(wanted, came, strict=False):
             assert same(got, sent), f"sent {_shown(sent)}, came {_shown(got)}"
