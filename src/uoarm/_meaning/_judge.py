@@ -352,10 +352,9 @@ class _Walk:
             said = [_of_type(mapping, key) for mapping in (one, other)]
             if mine == theirs and None not in said and said[0] != said[1]:
                 where = write_places(path) or "message"
-                note = (
+                found.notes[
                     f"{where}: the producer's {mine} has {key} {said[0]}, the consumer's {said[1]}"
-                )
-                found.notes[note] = None
+                ] = None
         if mine == theirs and "x-constants" in one and "x-constants" in other:
             _compare_constants(one["x-constants"], other["x-constants"], mine, path, found)
         return True
