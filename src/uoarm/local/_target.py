@@ -219,10 +219,10 @@ class Target:
             known = Description(read("input"))
             unknown = ["input"] if known.message is None else []
         elif endpoint.port == "default":
-            known = Description(read("output"), needs_input=self.port(endpoint).takes_messages)
+            known = Description(read("output"), needs_input=port.takes_messages)
             unknown = ["output"] if known.message is None else []
         else:  # what is emitted for a named output is in no hint
-            return Description(needs_input=self.port(endpoint).takes_messages)
+            return Description(needs_input=port.takes_messages)
         hints = [] if method is None else [self._wanted(part, endpoint) for part in unknown]
         return attrs.evolve(known, hint=", and ".join(dict.fromkeys(hints)))
 
