@@ -43,9 +43,15 @@ def main() -> None:
     rows = [row("a bare bound call", microseconds(lambda: _nothing(message), batch=100), "floor")]
     for name, routes in ways.items():
         outlet = Outlet()
+        outlet.retain(retains=False)  # as most outputs say once they are open
         for number, given in enumerate(routes):
             outlet.attach(Route("a", f"b{number}", _nothing, clock=time.monotonic, **given))
         rows.append(row(name, microseconds(partial(outlet.deliver, message), batch=100)))
+    retaining = Outlet()
+    retaining.retain(retains=True)
+    retaining.attach(Route("a", "b", _nothing, clock=time.monotonic))
+    name = "one route of an output that retains"
+    rows.append(row(name, microseconds(partial(retaining.deliver, message), batch=100)))
     rows.append(row("through a queue to its worker", _through_a_queue(message), "one at a time"))
     print_table("One route hop (us)", ("what", "median", "p99", ""), rows)
 
