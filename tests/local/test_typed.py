@@ -528,6 +528,18 @@ def test_numbers_that_the_promised_type_cannot_hold_are_refused(numbers: str) ->
     assert same(talk.call("ask_small", {"of": "2 ** 10"}), [2**10])
 
 
+@pytest.mark.parametrize(
+    ("numbers", "given"), [("none", []), ("list", [0, 255]), ("wide", [0, 255])]
+)
+def test_numbers_that_the_promised_type_can_hold_may_be_of_another(
+    numbers: str, given: list[int]
+) -> None:
+    """What numpy makes of a list that happens to be empty is of float64."""
+    assert same(talk.call("ask_pixels", {"of": numbers}), given)
+    with pytest.raises(BridgeError, match="got numbers that it cannot hold"):
+        talk.call("ask_pixels", {"of": "beyond"})
+
+
 def test_what_another_thread_is_importing_does_not_concern_plain_hints(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -134,6 +134,11 @@ def ask_small(asked: Of) -> NDArray[np.int16]:
     return np.array([numbers[asked["of"]]])
 
 
+def ask_pixels(asked: Of) -> NDArray[np.uint8]:
+    numbers = {"none": [], "list": [0, 255], "wide": np.array([0, 255]), "beyond": np.array([256])}
+    return numbers[asked["of"]]  # type: ignore[return-value]
+
+
 def numpy_numbers() -> Iterator[Number]:
     yield {"value": np.int64(7)}
 

@@ -118,6 +118,10 @@ _OF_KINDS: Mapping[str, Callable[[Any], Any]] = {
     "b": truth, "i": integer, "u": integer, "f": number
 }  # fmt: skip
 
+# The kinds of numbers of which an array of a kind is made, as far as it can hold them. An empty
+# array may have any: numpy makes floats of an empty list.
+_TAKEN = {"b": "b", "i": "biu", "u": "biu", "f": "biuf"}
+
 
 @frozen(eq=False)
 class NumpyScalar:
@@ -183,11 +187,10 @@ class NumpyArray:
         """Return an array of the type and shape that were promised."""
         numpy = sys.modules["numpy"]
         given = numpy.asarray(value)
-        try:
-            with numpy.errstate(over="ignore"):
-                cast = given.astype(self.item.dtype, casting="same_kind", copy=False)
-        except TypeError:
-            raise TypeError(f"expected {self}, got numbers of {given.dtype}") from None
+        if given.size and given.dtype.kind not in _TAKEN[self.item.dtype.kind]:
+            raise TypeError(f"expected {self}, got numbers of {given.dtype}")
+        with numpy.errstate(over="ignore"):
+            cast = given.astype(self.item.dtype, copy=False)
         if cast is not given:
             compare = numpy.array_equal if cast.dtype.kind in "iu" else _are_held
             if not compare(cast, given):
