@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import math
+import threading
 import tracemalloc
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 from unittest.mock import Mock
 
@@ -20,6 +22,7 @@ from uoarm_mcp._values import KeptValues, is_picture, picture_of, succeeded
 from uoarm.errors import UsageError
 from uoarm.model import MessageStructure
 from uoarm.server.front_end import TEXT_FORM
+from uoarm.testing import patience
 
 NUMBER = {"type": "number"}
 ANSWERS: list[tuple[Any, Any]] = [
@@ -127,3 +130,38 @@ def test_a_packed_picture_is_shown_in_formats_of_cameras(kind: str) -> None:
     else:
         with pytest.raises(UsageError, match="cannot identify image file"):
             picture_of(message)
+
+
+def test_one_picture_is_unpacked_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    images = pytest.importorskip("PIL.Image")
+    written = io.BytesIO()
+    images.new("RGB", (8, 8)).save(written, "PNG")
+    lock, opened = threading.Lock(), images.open
+    second_came, under_way, most = threading.Event(), [0], [0]
+
+    class Watched:
+        def __enter__(self) -> None:
+            if not lock.acquire(blocking=False):
+                second_came.set()
+                lock.acquire()
+
+        def __exit__(self, *_: object) -> None:
+            lock.release()
+
+    def watched_open(*arguments: Any, **options: Any) -> Any:
+        under_way[0] += 1
+        most[0] = max(most[0], under_way[0])
+        if most[0] > 1:
+            second_came.set()
+        assert second_came.wait(patience())
+        made = opened(*arguments, **options)
+        under_way[0] -= 1
+        return made
+
+    monkeypatch.setattr("uoarm_mcp._values._unpacking", Watched())
+    monkeypatch.setattr(images, "open", watched_open)
+    message = {"data": written.getvalue()}
+    with ThreadPoolExecutor(2) as threads:
+        answers = [threads.submit(picture_of, message) for _ in range(2)]
+        assert [answer.result(patience()).mime_type for answer in answers] == ["image/jpeg"] * 2
+    assert most == [1]

@@ -6,6 +6,7 @@ import base64
 import io
 import secrets
 import statistics
+import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -35,6 +36,8 @@ _RAW = {"rgb8": "RGB", "bgr8": "BGR", "mono8": "L", "rgba8": "RGBA", "bgra8": "B
 _PIXELS = 64_000_000
 # What cameras send; of the others that Pillow knows, one hands the octets to Ghostscript.
 _FORMATS = ("BMP", "JPEG", "PNG", "WEBP")
+# One picture at a time: unpacked, a large one takes 200 MB, and there may be as many as clients.
+_unpacking = threading.Lock()
 
 
 @frozen
@@ -216,24 +219,26 @@ def picture_of(message: Message) -> ImageContent:
         raise PluginError(
             "pictures need Pillow: install the extra `pictures` of uoarm-mcp"
         ) from None
-    data = bytes(message["data"])
     width, height = message.get("width"), message.get("height")
     encoding = str(message.get("encoding", "rgb8"))
     try:
-        if isinstance(width, int) and isinstance(height, int):
-            kind = _RAW.get(encoding)
-            if kind is None or not 0 < width * height <= _PIXELS:
-                raise UsageError(f"pictures of encoding {encoding!r:.50} are not shown")
-            mode = kind.replace("BGR", "RGB")
-            step = message.get("step")
-            stride = step if isinstance(step, int) else 0
-            picture = Image.frombuffer(mode, (width, height), data, "raw", kind, stride, 1)
-        else:
-            picture = Image.open(io.BytesIO(data), formats=_FORMATS)
-            if picture.width * picture.height > _PIXELS:
-                raise UsageError("the picture is too large to be shown")
-        picture = picture.convert("RGB")
-        picture.thumbnail((_WIDEST, _WIDEST))
+        with _unpacking:
+            data = bytes(message["data"])
+            if isinstance(width, int) and isinstance(height, int):
+                kind = _RAW.get(encoding)
+                if kind is None or not 0 < width * height <= _PIXELS:
+                    raise UsageError(f"pictures of encoding {encoding!r:.50} are not shown")
+                mode = kind.replace("BGR", "RGB")
+                step = message.get("step")
+                stride = step if isinstance(step, int) else 0
+                picture = Image.frombuffer(mode, (width, height), data, "raw", kind, stride, 1)
+            else:
+                picture = Image.open(io.BytesIO(data), formats=_FORMATS)
+                if picture.width * picture.height > _PIXELS:
+                    raise UsageError("the picture is too large to be shown")
+                picture.draft("RGB", (_WIDEST, _WIDEST))  # of a JPEG no more is unpacked
+            picture = picture.convert("RGB")
+            picture.thumbnail((_WIDEST, _WIDEST))
         for quality in _QUALITIES:
             written = io.BytesIO()
             picture.save(written, "JPEG", quality=quality)
