@@ -22,6 +22,7 @@ from websockets.typing import Subprotocol
 
 from uoarm import RobotManager
 from uoarm._wire import protocol_schema, read_binary, write_binary
+from uoarm.client._answers import checked_answer
 from uoarm.model import Budget, BudgetUse, ConnectionState
 from uoarm.testing import patience, wait
 
@@ -106,10 +107,14 @@ class Talk:
         return self._answers.pop(identity)
 
     def ask(self, op: str, kind: str = "", message: object = None, **more: object) -> Any:
-        """Return the reply's message, or fail with the error."""
+        """Return the reply's message, or fail with the error.
+
+        What the clients rely on of an answer is there in each.
+        """
         reply = self.answer(self.send(op, kind, message, **more))
         assert reply["op"] == "Reply", reply
-        return reply.get("jsonMessage")
+        asked = {"op": op, "type": kind, "jsonMessage": message}
+        return checked_answer(asked, reply.get("jsonMessage"))
 
     def refused(self, op: str, kind: str = "", message: object = None, **more: object) -> Any:
         """Return code and text of the error."""

@@ -30,6 +30,8 @@ RESUMED = {"op": "Reply", "id": "resume", "jsonMessage": {"session": "s1", "own"
 class Socket:
     """A connection that notes what it is given, then drops."""
 
+    paused = False
+
     def __init__(self, *messages: Mapping[str, Any]) -> None:
         self.sent: list[dict[str, Any]] = []
         self._messages = deque(json.dumps(mapping) for mapping in messages)

@@ -11,7 +11,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, TypeAlias, final, overload
 
-from attrs import field, frozen
+from attrs import field, fields_dict, frozen
 from typing_extensions import Self
 
 from uoarm import errors
@@ -20,19 +20,16 @@ from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.bridge import boot_seconds
+from uoarm.client._answers import NOTICES, checked, checked_answer, error_of, merged_status
 from uoarm.client._link import LARGEST, Link, Open
-from uoarm.client._questions import (
-    ServerQuestions,
-    ThreadAnswer,
-    error_of,
-    merged_status,
-)
+from uoarm.client._questions import ServerQuestions, ThreadAnswer
 from uoarm.client._socket import ClientSocket
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, find_trouble
 
 _HELD = 1024
 _DIAGNOSIS_SECONDS = 1.0
+_EVENT = fields_dict(StatusEvent)
 # What may be asked once more where a drop took the question or its answer.
 _REPEATABLE = frozenset({"Kill", "List", "Resolve"})
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
@@ -59,6 +56,8 @@ class ServerAddress:
         timeout: seconds for connecting.
         silence: seconds without a sign of life after which the connection counts as dropped.
         headers: further ones of the handshake.
+        answer: seconds after which an answer comes no more, beyond those that the question gives
+            it: the `timeout` of a call, the `wait` of a request.
     """
 
     url: str
@@ -67,6 +66,7 @@ class ServerAddress:
     timeout: float = 10.0
     silence: float = 20.0
     headers: Mapping[str, str] = MappingProxyType({})
+    answer: float = 120.0
 
     def robot(
         self,
@@ -84,7 +84,7 @@ class ServerAddress:
                 messages pass again.
         """
         form = BINARY_FORM if binary else TEXT_FORM
-        return RemoteRobot(partial(self._open, form), form, reconnect, on_link)
+        return RemoteRobot(partial(self._open, form), form, reconnect, on_link, self.answer)
 
     async def _open(self, form: Form) -> ClientSocket:
         headers = dict(self.headers)
@@ -106,6 +106,7 @@ async def connect(
     timeout: float = 10.0,
     resume: bool = True,
     reconnect: float = 60.0,
+    answer: float = 120.0,
 ) -> AsyncIterator[RemoteRobot]:
     """Connect to a server for the length of a block.
 
@@ -121,6 +122,8 @@ async def connect(
         reconnect: seconds for which it is tried to begin a new session where that one is gone, as
             after a restart of the server, and to open what was open; `RemoteStream.gaps` counts
             it. What waited for an answer fails; no command is repeated. 0: everything fails.
+        answer: seconds after which an answer comes no more, beyond those that the question gives
+            it: the `timeout` of a call, the `wait` of a request.
 
     Raises:
         OSError: no server listens there.
@@ -128,7 +131,7 @@ async def connect(
         TimeoutError: it took too long.
         websockets.exceptions.InvalidHandshake: the server refused, for example without a token.
     """
-    server = ServerAddress(url, token, tls, timeout)
+    server = ServerAddress(url, token, tls, timeout, answer=answer)
     async with server.robot(binary=binary, reconnect=reconnect).running(resume=resume) as robot:
         yield robot
 
@@ -143,7 +146,9 @@ class RemoteRobot(ServerQuestions):
         form: Form,
         reconnect: float = 0.0,
         on_link: Callable[[str], object] = str,
+        answer: float = 120.0,
     ) -> None:
+        self._answer_seconds = answer
         self.hello: Mapping[str, Any] = {}
         self._form = form
         self._link = Link(
@@ -395,7 +400,8 @@ class RemoteRobot(ServerQuestions):
         if hint is None:
             return None
         wanted: MessageType[Any] = MessageType(hint, place, self._form)
-        structures = (await self.resolve(name))["plan"]["steps"][-1]["structures"]
+        steps = (await self.resolve(name))["plan"]["steps"]
+        structures: Mapping[str, Any] = steps[-1]["structures"] if steps else {}
         output = name.partition(".")[2]
         names = [structure for structure in structures if structure.startswith(port)]
         only = names[0] if len(names) == 1 and not output else f"{port}{output or 'default'}"
@@ -429,7 +435,9 @@ class RemoteRobot(ServerQuestions):
 
         Raises:
             UoarmError: the server refused, as the other methods raise it.
-            ConnectionClosedError: the connection has ended for good.
+            BridgeTimeoutError: nothing was answered in time, though the server is there.
+            ConnectionClosedError: the connection has ended for good; so does one over which
+                something comes that the protocol does not have.
         """
         while True:
             before = self.resumed, self.restarts
@@ -447,13 +455,22 @@ class RemoteRobot(ServerQuestions):
             raise errors.ConnectionClosedError(self._link.closed)
         identity = str(next(self._ids))
         fields = {"op": op, **more} | ({"type": kind} if kind else {})
-        answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        loop = asyncio.get_running_loop()
+        answer: asyncio.Future[Any] = loop.create_future()
         self._asked[identity] = _PendingRequest(fields, answer, renewed)
+        seconds = self._answer_seconds + _given_seconds(fields)
+        what = f"{op} {kind}".rstrip()
+        timer = loop.call_later(seconds, _fail_late, answer, what, seconds)
         try:
             # Of a request always, so that it is known of commands by how much they are later.
             timed = {"x-sent": boot_seconds()} if op == "Request" else {}
-            await self._link.send({**fields, **timed, "id": identity})
+            sending = self._link.send({**fields, **timed, "id": identity})
+            await (result_within(seconds, sending) if self._link.holds_up else sending)
             return await answer
+        except asyncio.TimeoutError as error:
+            if isinstance(error, errors.UoarmError):
+                raise
+            raise _late(what, seconds) from error
         except asyncio.CancelledError:
             # The answer came before, in the same turn of the loop: what it opened has no user.
             is_answered = answer.done() and not answer.cancelled()
@@ -461,6 +478,7 @@ class RemoteRobot(ServerQuestions):
                 self._begin(self._try_to_ask("Kill", answer.result().connection))
             raise
         finally:
+            timer.cancel()
             self._asked.pop(identity, None)
             if self._link.is_unanswered(identity) and not self._link.closed:
                 self._give_up(op, identity)
@@ -538,7 +556,8 @@ class RemoteRobot(ServerQuestions):
         if op == "Data":
             stream = self._streams.get(received["type"])
             if stream is not None:
-                number = None if received.get("x-standing") else received["x-number"]
+                is_standing = received.get("x-standing") is True
+                number = None if is_standing else checked(received["x-number"], "integer", "Data")
                 stream.take(number, message)
         elif op == "Status":
             self._take_status(received["type"], message)
@@ -546,6 +565,7 @@ class RemoteRobot(ServerQuestions):
             self._take_answer(received, message)
 
     def _take_status(self, kind: str, message: Message) -> None:
+        checked(message, NOTICES.get(kind, "any"), f"Status {kind}")
         if kind == "hello":
             self.hello, self._link.most = message, message.get("message_bytes")
         elif kind == "connection":
@@ -553,7 +573,8 @@ class RemoteRobot(ServerQuestions):
             if stream is not None:
                 stream.finish(message["state"], message["cause"], message["number"])
         elif kind == "change":
-            self._notify_watchers(StatusEvent(**message))
+            known = {name: value for name, value in message.items() if name in _EVENT}
+            self._notify_watchers(StatusEvent(**known))
 
     def _notify_watchers(self, change: StatusEvent | None) -> None:
         for watcher in self._watchers:
@@ -565,7 +586,7 @@ class RemoteRobot(ServerQuestions):
         asked = self._asked.get(received.get("id", ""))
         stream = self._streams.get(received.get("type", ""))
         if received["op"] == "Error" and "id" not in received and stream is not None:
-            stream.refuse(message["text"])  # one of its messages could not be written
+            stream.refuse(str(error_of(message)))  # one of its messages could not be written
         if asked is None or asked.answer.done():
             # Of a request that was given up, or is cancelled and has had no turn since.
             is_request = asked is not None and asked.fields["op"] == "Request"
@@ -576,7 +597,12 @@ class RemoteRobot(ServerQuestions):
             return
         if received["op"] == "Error":
             asked.answer.set_exception(error_of(message))
-        elif asked.fields["op"] == "Request":
+            return
+        if received["op"] != "Reply":
+            text = f"op: expected Reply or Error, got {received['op']!r:.60}"
+            raise errors.ControlMessageError(text)
+        checked_answer(asked.fields, message)
+        if asked.fields["op"] == "Request":
             # Made here, since the first message may follow before the caller has woken.
             stream = asked.renewed
             if stream is None:
@@ -590,3 +616,19 @@ class RemoteRobot(ServerQuestions):
             if asked.fields["op"] == "Kill":
                 self._streams.pop(received["type"], None)
             asked.answer.set_result(message)
+
+
+def _given_seconds(fields: Mapping[str, Any]) -> float:
+    """Return how long the server may take since the question says so."""
+    options = fields.get("jsonMessage") if fields["op"] == "Request" else None
+    given = options.get("wait") if isinstance(options, Mapping) else fields.get("x-timeout")
+    return given if isinstance(given, int | float) else 0.0
+
+
+def _fail_late(answer: asyncio.Future[Any], what: str, seconds: float) -> None:
+    if not answer.done():
+        answer.set_exception(_late(what, seconds))
+
+
+def _late(what: str, seconds: float) -> errors.BridgeTimeoutError:
+    return errors.BridgeTimeoutError(f"the server has not answered {what} within {seconds:g} s")

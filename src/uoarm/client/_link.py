@@ -24,8 +24,15 @@ from uoarm._raised import text_of
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.bridge import boot_seconds
+from uoarm.client._answers import KEPT, RESUMED, checked, error_of
 from uoarm.client._socket import ClientSocket, Received
-from uoarm.errors import ConnectionClosedError, ControlMessageError, MessageError, UsageError
+from uoarm.errors import (
+    ConnectionClosedError,
+    ControlMessageError,
+    MessageError,
+    UoarmError,
+    UsageError,
+)
 from uoarm.model import Budget, BudgetUse
 
 # A server is believed more than a client is, but what it sends is bounded, too.
@@ -34,6 +41,7 @@ LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=3
 _STRANGE = (ControlMessageError, AttributeError, LookupError, TypeError, ValueError)
 _KEEP, _RESUME = "keep", "resume"
 _MOST_WAITING = 4096
+_LONGEST_KEPT = 3600.0  # seconds for which a server is believed to keep a session
 # Closed for what this client did or may not do: it would be so again.
 _FINAL = frozenset({
     CloseCode.NORMAL_CLOSURE, CloseCode.PROTOCOL_ERROR, CloseCode.UNSUPPORTED_DATA,
@@ -140,6 +148,11 @@ class Link:
             if not self._key or session != self.session:
                 raise ConnectionClosedError(f"the server is gone: {error}") from error
             # Whether it arrived is known when the session goes on: then it has its answer.
+
+    @property
+    def holds_up(self) -> bool:
+        """Whether `send` waits now: for another connection, or until the server reads."""
+        return not self._ready.is_set() or (self._socket is not None and self._socket.paused)
 
     def send_at_once(self, fields: Mapping[str, Any], session: int) -> bool:
         """Send one message that will be answered, in this thread; in a session, and no other.
@@ -318,9 +331,10 @@ class Link:
             "id"
         ) != _RESUME:
             self._receive(report)
+        message = report.get("jsonMessage")
         if report["op"] != "Reply":
-            return str(report["jsonMessage"]["text"])
-        self._went_on(report["jsonMessage"]["own"])
+            return str(error_of(message))
+        self._went_on(checked(message, RESUMED, "Reply to Resume")["own"])
         for identity in beyond:
             lost = {"code": "closed", "text": "too much waited when the connection dropped"}
             self._receive({"op": "Error", "id": identity, "jsonMessage": lost})
@@ -333,8 +347,8 @@ class Link:
         identity = received.get("id")
         if identity == _KEEP:
             if received["op"] == "Reply":
-                self._key = received["jsonMessage"]["key"]
-                self._seconds = received["jsonMessage"]["seconds"]
+                kept = checked(received.get("jsonMessage"), KEPT, "Reply to Resume")
+                self._key, self._seconds = kept["key"], min(kept["seconds"], _LONGEST_KEPT)
             return
         if identity is not None:
             self._unanswered.pop(identity, None)
@@ -350,7 +364,8 @@ def _timed(identity: str) -> dict[str, Any]:
 
 
 def _strange(error: Exception) -> str:
-    return f"the server sent what is no message: {text_of(error)[:250]}"
+    text = str(error) if isinstance(error, UoarmError) else text_of(error)
+    return f"the server sent what is no message: {text[:250]}"
 
 
 _PORT = 443

@@ -1,14 +1,12 @@
-"""What a client asks a server that opens no stream, and what comes back: answers and errors."""
+"""What a client asks a server that opens no stream, and an answer that a thread waits for."""
 
 from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
-from uoarm import errors
 from uoarm._arguments import arguments
 
 
@@ -233,38 +231,6 @@ class ServerQuestions(ABC):
         return moved
 
 
-_ERRORS: Mapping[str, Callable[[str], errors.UoarmError]] = {
-    "configuration": errors.ConfigurationError,
-    "resolution": errors.ResolutionError,
-    "bridge": errors.BridgeError,
-    "timeout": errors.BridgeTimeoutError,
-    "message": errors.MessageError,
-    "held": partial(errors.CommandRefusedError, reason="held"),
-    "leased": partial(errors.CommandRefusedError, reason="leased"),
-    "refused": partial(errors.CommandRefusedError, reason="stopped"),
-    "usage": errors.UsageError,
-    "closed": errors.ConnectionClosedError,
-    "unknown": errors.ConnectionClosedError,
-}
-
-
-class ServerError(errors.UoarmError):
-    """The server refused; `code` is that of the protocol: denied, limit, busy, internal."""
-
-    def __init__(self, code: str, text: str) -> None:
-        super().__init__(text)
-        self.code = code
-
-
-def error_of(message: Mapping[str, Any]) -> errors.UoarmError:
-    """Return what an Error of the server says, as the exception that is raised for it."""
-    code, text = message["code"], message["text"]
-    kind = _ERRORS.get(code)
-    error = ServerError(code, text) if kind is None else kind(text)
-    error.error_code = message.get("error_code", error.error_code)
-    return error
-
-
 class ThreadAnswer:
     """An answer that one thread waits for, whatever thread it comes in.
 
@@ -314,33 +280,3 @@ class ThreadAnswer:
             return
         self._result, self._error = result, error
         self._came.release()
-
-
-_KEYS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
-    "components": lambda entry: entry["name"],
-    "connections": lambda entry: entry["id"],
-    "routes": lambda entry: (entry["producer"], entry["consumer"]),
-}
-
-
-def merged_status(known: Mapping[str, Any], received: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the whole status map, of the one that is known and the changes since then."""
-    if "since" not in received:
-        return received
-    elapsed = received["elapsed"]
-    merged = {**known, **received}
-    del merged["since"], merged["elapsed"]
-    for part, key_of in _KEYS.items():
-        change = received.get(part, {})
-        if isinstance(change, list):
-            continue
-        entries = {key_of(entry): entry for entry in known[part]}
-        if part == "routes":
-            for key, route in entries.items():
-                if route["age"] is not None:
-                    entries[key] = {**route, "age": route["age"] + elapsed}
-        for key in change.get("gone", ()):
-            entries.pop(tuple(key) if isinstance(key, list) else key, None)
-        entries.update((key_of(entry), entry) for entry in change.get("changed", ()))
-        merged[part] = list(entries.values())
-    return merged

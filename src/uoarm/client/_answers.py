@@ -1,0 +1,284 @@
+"""What a server answers: its shape, which is checked before any of it is used, and its meaning.
+
+A server may be of another version, something else, or hostile. So nothing of an answer is relied
+on that is not described here; what else it has is let through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Any, TypeAlias
+
+from uoarm import errors
+
+_TYPES: Mapping[str, Callable[[Any], bool]] = {
+    "any": lambda _: True,
+    "null": lambda value: value is None,
+    "text": lambda value: isinstance(value, str),
+    "boolean": lambda value: isinstance(value, bool),
+    "integer": lambda value: type(value) is int and abs(value) < _BEYOND,
+    "number": lambda value: type(value) is float or _TYPES["integer"](value),
+    "object": lambda value: isinstance(value, dict),
+    "list": lambda value: isinstance(value, list),
+    "pairs": lambda value: isinstance(value, list) and all(map(_is_pair, value)),
+}
+# The name of a type, or of several with `|` between; the shape of each item of a list; or of each
+# field of an object, with `?` behind the name of one that may be missing, and `*` for all names. In
+# a tuple: what may be null, too.
+Shape: TypeAlias = "str | list[Any] | tuple[Any] | Mapping[str, Any]"
+_BEYOND = 2**63  # more is counted nowhere, and has no form as a float in the end
+_CELL = "text|boolean|number|null"
+_PAIR = 2
+_MISSING = object()
+_SHOWN = 60
+
+
+def _is_pair(value: object) -> bool:
+    return isinstance(value, list) and len(value) == _PAIR
+
+
+def checked(value: Any, shape: Shape, what: str) -> Any:
+    """Return a value that has a shape.
+
+    Raises:
+        ControlMessageError: it has not; the text names the field.
+    """
+    if (mistake := _mistake(value, shape)) is not None:
+        path, text = mistake
+        place = ".".join(name[:_SHOWN] for name in reversed(path))
+        raise errors.ControlMessageError(": ".join(filter(None, (what, place, text))))
+    return value
+
+
+def _mistake(value: Any, shape: Shape) -> tuple[list[str], str] | None:
+    """Return what is wrong, and where: the path from the inside to the outside."""
+    if isinstance(shape, str):
+        if any(_TYPES[name](value) for name in shape.split("|")):
+            return None
+        found = "nothing" if value is _MISSING else type(value).__name__
+        return [], f"expected {shape.replace('|', ' or ')}, got {found}"
+    if isinstance(shape, tuple):
+        return None if value is None else _mistake(value, shape[0])
+    if not isinstance(value, list if isinstance(shape, list) else dict):
+        return _mistake(value, "list" if isinstance(shape, list) else "object")
+    for name, item, inner in _items(value, shape):
+        if (mistake := _mistake(item, inner)) is not None:
+            mistake[0].append(name)
+            return mistake
+    return None
+
+
+def _items(value: Any, shape: list[Any] | Mapping[str, Any]) -> Iterator[tuple[str, Any, Shape]]:
+    if isinstance(shape, list):
+        return ((str(index), item, shape[0]) for index, item in enumerate(value))
+    if "*" in shape:
+        return ((str(name), item, shape["*"]) for name, item in value.items())
+    return (
+        (name, value.get(name, _MISSING), inner)
+        for field, inner in shape.items()
+        if (name := field.rstrip("?")) in value or name == field
+    )
+
+
+_EVENT: Mapping[str, Shape] = {
+    "number": "integer", "time": "number", "subject": "text", "change": "text", "cause": "text",
+    "function": "text", "error_code?": "text",
+}  # fmt: skip
+NOTICES: Mapping[str, Shape] = {
+    "hello": {"message_bytes?": "integer|null", "time?": "number", "manager?": "text"},
+    "connection": {"connection": "text", "state": "text", "cause": "text", "number": "integer"},
+    "change": _EVENT,
+}
+"""What comes without a question, by its `type`."""
+_ERROR: Shape = {"code": "text", "text": "text", "error_code?": "text"}
+KEPT: Shape = {"key": "text", "seconds": "number"}
+RESUMED: Shape = {"own": [{"connection": "text", "number": "integer|null"}]}
+
+_NUMBER = "number|null"
+_COMMAND: Shape = {
+    "phase": "text", "since": _NUMBER, "left": _NUMBER, "dropped": "pairs", "cause": "text",
+}  # fmt: skip
+_LEASE: Shape = {"holder": ({"id": "text", "role": "text"},), "left": _NUMBER}
+_LIMIT: Shape = {"path": "text", "minimum": _NUMBER, "maximum": _NUMBER, "rate": _NUMBER}
+_ENTRIES: Mapping[str, Shape] = {
+    "components": {
+        "name": "text", "health": "text", "cause": "text", "last_error": "text",
+        "function?": _CELL, "failed?": _CELL, "lost?": _CELL,
+        "channels?": [{
+            "port": "text", "facts": "pairs", "command?": (_COMMAND,), "lifetime?": _NUMBER,
+            "lease?": (_LEASE,), "limits?": [_LIMIT],
+        }],
+    },
+    "connections": {
+        "id": "text", "components": ["text"], "state": "text", "cause": "text",
+        "function?": _CELL, "lost?": _CELL,
+    },
+    "routes": {
+        "producer": "text", "consumer": "text", "age": _NUMBER, "refusal?": "text",
+        "received?": _CELL, "delivered?": _CELL, "rate?": _CELL, "dropped?": "pairs",
+    },
+}  # fmt: skip
+_GONE: Mapping[str, Shape] = {"components": "text", "connections": "text", "routes": ["text"]}
+_STATUS: Mapping[str, Shape] = {
+    "version?": "integer", "time?": "number", "held?": _NUMBER,
+    "own?": [{"connection": "text", "number": "integer|null"}],
+    "past?": [{**_EVENT, "age": "number"}],
+    "bridges?": [{
+        "name": "text", "plugin?": _CELL, "health?": _CELL, "process?": _CELL, "cause?": _CELL,
+        "assigned?": "pairs", "facts?": "pairs",
+    }],
+    "machines?": [{
+        "name": "text", "present?": _CELL, "clock_offset?": _CELL, "clock_error?": _CELL,
+        "cause?": _CELL,
+    }],
+    "offers?": [{
+        "name": "text", "state?": _CELL, "calls?": _CELL, "failed?": _CELL, "cause?": _CELL,
+    }],
+    "lock?": [{
+        "component": "text", "port?": _CELL, "refused?": _CELL, "times?": _CELL, "cause?": _CELL,
+    }],
+    "clients?": ["object"],
+}  # fmt: skip
+_STRUCTURES: Shape = {"*": {"schema": "object|boolean"}}
+_CHANGE: Shape = {
+    "revision": "integer", "differences": ["text"], "connections": "list", "is_applied": "boolean",
+    "is_kept": "boolean", "time": "number", "text": "text",
+}  # fmt: skip
+_APPROVAL: Shape = {
+    "approval": "text", "phase": "text", "requester": "text", "operation": "text",
+    "function": "text", "port": "text", "arguments": "any", "digest": "text", "envelope": "object",
+    "components": ["text"], "revision": "integer", "preview": "text", "left": _NUMBER,
+}  # fmt: skip
+_RECORDING: Shape = {"recording": "text", "state": "text", "files": ["text"]}
+_PLAYER: Shape = {"bridge": "text", "functions": ["text"], "may_move": "boolean", "cause": "text"}
+_ANSWERS: Mapping[str, Shape] = {
+    "Request": {
+        "connection": "text", "inputs": ["text"], "warnings": ["text"],
+        "lifetimes?": {"*": "number"}, "latched?": "boolean", "number?": "integer|null",
+    },
+    "List": {
+        "functions": [{
+            "name": "text", "description": "text", "service": "boolean", "outputs": ["text"],
+            "inputs": ["text"],
+            "components": [{"name": "text", "bridge": "text", "priority": "integer"}],
+        }],
+    },
+    "Resolve": {
+        "plan": {"steps": [{"component": {"name": "text"}, "structures": _STRUCTURES}]},
+        "text": "text",
+    },
+    "Configure": {"revisions": [_CHANGE]},
+    "Configure text": _CHANGE,
+    "Configure rollback": _CHANGE,
+    "Configure schema": {"schema": "object"},
+    "Discover": {"bridges": ["object"]},
+    "Discover take": {"text": "text"},
+    "Approve": {"approvals": [_APPROVAL]},
+    "Approve type": _APPROVAL,
+    "Record": {"recordings": [_RECORDING]},
+    "Record functions": _RECORDING,
+    "Record type": _RECORDING,
+    "Play": {"players": [_PLAYER]},
+    "Play type": _PLAYER,
+    "Stop type": "any",
+    "Stop release": "any",
+    "Stop": {
+        "stopped": "boolean", "text": "text",
+        "inputs": [{
+            "function": "text", "component": "text", "port": "text", "stopped": "boolean",
+            "since": _NUMBER, "cause": "text",
+        }],
+    },
+}  # fmt: skip
+"""By the question: its op, and what it has that makes it another one."""
+
+
+def checked_answer(asked: Mapping[str, Any], answer: Any) -> Any:
+    """Return what answers a question, where it is what the protocol says; raises as `checked`."""
+    op = asked["op"]
+    if op == "Status":
+        return checked(answer, _status_shape(answer), "Status")
+    if op not in _ANSWERS:  # whatever a service replies, and nothing
+        return answer
+    more, names = asked.get("jsonMessage"), ["type"] if asked.get("type") else []
+    names += more if isinstance(more, Mapping) else ()
+    kinds = (kind for name in names if (kind := f"{op} {name}") in _ANSWERS)
+    return checked(answer, _ANSWERS[next(kinds, op)], f"Reply to {op}")
+
+
+def _status_shape(answer: Any) -> Shape:
+    shape = dict(_STATUS)
+    is_partial = isinstance(answer, dict) and "since" in answer
+    for part, entry in _ENTRIES.items():
+        is_change = is_partial and isinstance(answer.get(part), dict)
+        change = {"changed?": [entry], "gone?": [_GONE[part]]}
+        shape[f"{part}?"] = change if is_change else [entry]
+    return {**shape, "elapsed": "number"} if is_partial else shape
+
+
+_ERRORS: Mapping[str, Callable[[str], errors.UoarmError]] = {
+    "configuration": errors.ConfigurationError,
+    "resolution": errors.ResolutionError,
+    "bridge": errors.BridgeError,
+    "timeout": errors.BridgeTimeoutError,
+    "message": errors.MessageError,
+    "held": partial(errors.CommandRefusedError, reason="held"),
+    "leased": partial(errors.CommandRefusedError, reason="leased"),
+    "refused": partial(errors.CommandRefusedError, reason="stopped"),
+    "usage": errors.UsageError,
+    "closed": errors.ConnectionClosedError,
+    "unknown": errors.ConnectionClosedError,
+}
+
+
+class ServerError(errors.UoarmError):
+    """The server refused; `code` is that of the protocol: denied, limit, busy, internal."""
+
+    def __init__(self, code: str, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+def error_of(message: Any) -> errors.UoarmError:
+    """Return what an Error of the server says, as the exception that is raised for it.
+
+    Raises:
+        ControlMessageError: it says nothing.
+    """
+    checked(message, _ERROR, "Error")
+    code, text = message["code"], message["text"]
+    kind = _ERRORS.get(code)
+    error = ServerError(code, text) if kind is None else kind(text)
+    error.error_code = message.get("error_code", error.error_code)
+    return error
+
+
+_KEYS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
+    "components": lambda entry: entry["name"],
+    "connections": lambda entry: entry["id"],
+    "routes": lambda entry: (entry["producer"], entry["consumer"]),
+}
+
+
+def merged_status(known: Mapping[str, Any], received: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the whole status map, of the one that is known and the changes since then."""
+    if "since" not in received:
+        return received
+    elapsed = received["elapsed"]
+    merged = {**known, **received}
+    del merged["since"], merged["elapsed"]
+    for part, key_of in _KEYS.items():
+        change = received.get(part, {})
+        if isinstance(change, list):
+            continue
+        entries = {key_of(entry): entry for entry in known.get(part, ())}
+        if part == "routes":
+            for key, route in entries.items():
+                if route["age"] is not None:
+                    entries[key] = {**route, "age": route["age"] + elapsed}
+        for key in change.get("gone", ()):
+            entries.pop(tuple(key) if isinstance(key, list) else key, None)
+        entries.update((key_of(entry), entry) for entry in change.get("changed", ()))
+        merged[part] = list(entries.values())
+    return merged
