@@ -336,6 +336,18 @@ def test_what_is_not_finite_is_printed_as_json(robot: str) -> None:
     assert json.loads(result.stdout, parse_constant=pytest.fail) == {"n": ["NaN", "-Infinity"]}
 
 
+def test_octets_are_printed_in_full_as_a_call_takes_them(tmp_path: Path) -> None:
+    (tmp_path / "cli_octets.py").write_text(
+        "from uoarm.local import Octets\ndef echo(p: Octets) -> Octets: return bytes(p)\n"
+    )
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        "{version: 1, bridges: {python: {}}, functions: {echo: {components: ["
+        '{name: echo, bridge: python, service: {endpoint: ["cli_octets:echo"]}}]}}}'
+    )
+    assert json.loads(run("call", "echo", "[0, 255]", "-f", str(file)).stdout) == [0, 255]
+
+
 def test_doctor_and_bridges_know_the_built_in_bridge() -> None:
     assert "python" in run("bridges").output
     assert json.loads(run("doctor", "--json").stdout)["python"]["usable"] == "yes"

@@ -235,16 +235,17 @@ def print_json(value: Any) -> None:
 
 
 def plain(message: Message, most: int | None = None) -> Any:
-    """Return a message as JSON values: octets as a note of their number, buffers as lists.
+    """Return a message as JSON values: octets and buffers as lists, as `call` takes them.
 
     Args:
         message: any logical value.
-        most: items that a buffer may have to be a list; a longer one becomes a note of its size.
+        most: items that a buffer may have to be a list; a longer one, and octets, become a note of
+            their size.
     """
     if isinstance(message, str):
         return message
     if isinstance(message, bytes | bytearray | memoryview):
-        return f"<{len(message)} octets>"
+        return list(memoryview(message).cast("B")) if most is None else f"<{len(message)} octets>"
     if hasattr(message, "tolist"):
         size = getattr(message, "size", 0) or len(message)
         return message.tolist() if most is None or size <= most else f"<{size:,} items>"
