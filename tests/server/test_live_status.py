@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 from tests.host import joined as machines
 from tests.redirects import redirecting
@@ -65,6 +67,28 @@ def test_events_are_followed_until_an_interrupt(server: Server, robot: RobotMana
             assert event["subject"].startswith("connection")
         process.send_signal(signal.SIGINT)
         assert process.wait(patience()) == 0
+
+
+@pytest.mark.parametrize(
+    ("room", "code", "said"), [("full", 1, "nothing more can be"), ("", 1, "")]
+)
+def test_what_cannot_be_printed_is_not_said_of_the_server(
+    server: Server, room: str, code: int, said: str
+) -> None:
+    """Without room, and in a pipe of which `head` has read enough."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "wb") as pipe, Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "uoarm", "status", "--url", url_of(server)],
+            stdout=full if room else pipe,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            timeout=2 * patience(),
+        )
+    assert (done.returncode, said in done.stderr) == (code, True), done.stderr
+    assert "reached" not in done.stderr
 
 
 def test_a_server_that_is_not_there_is_named() -> None:

@@ -7,7 +7,6 @@ hook `uoarm_commands`.
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -21,7 +20,7 @@ import click
 from uoarm._raised import text_of
 from uoarm._support.process_tuning import short_switch_interval
 from uoarm._version import __version__
-from uoarm.cli._output import add_log_options, echo, keep_apart, logging_to_stderr
+from uoarm.cli._output import NO_ROOM, add_log_options, echo, keep_apart, logging_to_stderr
 from uoarm.cli._shared import (
     INTERRUPTED,
     JSON,
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
 
 _GROUP = "uoarm.commands"
 _HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # which click 8.1 has not
-_NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
 
 # Plugins of ours by the command that they bring.
 _BROUGHT: Mapping[str, str] = {
@@ -168,7 +166,7 @@ def _writing() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in _NO_ROOM:
+        if error.errno not in NO_ROOM:
             raise
         with suppress(OSError, ValueError):  # what waits would fail once more when Python ends
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -6,6 +6,7 @@ included, would stand among the lines of JSON that another program reads: it goe
 
 from __future__ import annotations
 
+import errno
 import functools
 import io
 import logging
@@ -25,6 +26,8 @@ from uoarm._log_lines import JsonFormatter, StderrHandler, TextFormatter
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _STDOUT, _STDERR = 1, 2
+NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
+UNWRITTEN = NO_ROOM | {errno.EPIPE}  # what fails with these is no socket that is read
 _SILENT_SECONDS = 3.0
 _own: list[TextIO] = []  # of the command that runs; of another one within it, the last
 _VARIABLE = "UOARM_LOG"

@@ -18,7 +18,7 @@ from uoarm import errors
 from uoarm._raised import text_of
 from uoarm._support.files import UnreadableFileError, read_text
 from uoarm.bridge import redirection, tls_fault
-from uoarm.cli._output import echo, styled
+from uoarm.cli._output import UNWRITTEN, echo, styled
 from uoarm.cli._shared import (
     BRIDGE,
     fail,
@@ -159,7 +159,9 @@ def asked(server: Remote, work: Callable[[Any], Awaitable[Any]], *, watches: boo
             raise
         except errors.UoarmError:
             raise
-        except Exception as error:  # noqa: BLE001 - sockets and handshakes fail in many ways
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno in UNWRITTEN:
+                raise  # of what is printed: `head` has read enough, or a disk is full
             fail(f"{server.url}: {_cause(error, server)}", BRIDGE, "UOA-402")
 
 
