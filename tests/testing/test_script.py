@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import threading
+from array import array
 from collections.abc import Iterator
-from typing import TypedDict
+from typing import Any, TypedDict
 
 import pytest
 
 from uoarm import ConnectionClosedError, RobotManager
 from uoarm.config import loads
 from uoarm.local import _instance
-from uoarm.testing import Background, Script, patience
+from uoarm.testing import Background, Script, patience, same
 
 ROBOT = """
 version: 1
@@ -87,3 +89,22 @@ def test_an_exception_is_raised_by_the_instance(robot: RobotManager) -> None:
         script.put(RuntimeError("the cable is out"))
         with pytest.raises(ConnectionClosedError, match="the cable is out"):
             connection.get(patience())
+
+
+@pytest.mark.parametrize(
+    ("value", "equal", "different"),
+    [
+        ([1, 2.0, "a"], (1.0, 2, "a"), [1, 2, "b"]),
+        (bytes(range(3)), array("B", [0, 1, 2]), bytearray(3)),
+        ([1, 0], memoryview(b"\1\0"), [True, False]),
+        ([math.nan, [1]], [float("nan"), [1]], [math.nan, [True]]),
+        ({"a": [1, 2]}, {"a": (1, 2)}, {"a": [1, 2, 3]}),
+    ],
+)
+def test_messages_are_the_same_by_value_except_true_and_1(
+    value: Any, equal: Any, different: Any
+) -> None:
+    assert same(value, equal)
+    assert same(equal, value)
+    assert not same(value, different)
+    assert not same(different, value)

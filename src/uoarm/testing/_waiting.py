@@ -11,6 +11,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import chain
 from typing import Any, Generic, TypeVar
 
 from uoarm._arguments import arguments
@@ -291,6 +292,9 @@ def plain(value: Any) -> Any:
     return value
 
 
+_AS_IN_PYTHON = frozenset({int, float, str})
+
+
 def same(one: Any, other: Any) -> bool:
     """Whether two messages are equal by value: buffers as lists, NaN as itself, 1.0 as 1.
 
@@ -303,6 +307,9 @@ def _equal(one: Any, other: Any) -> bool:
     if isinstance(one, dict) and isinstance(other, dict):
         return one.keys() == other.keys() and all(_equal(one[key], other[key]) for key in one)
     if isinstance(one, list) and isinstance(other, list):
+        # A picture is a list of millions.
+        if _AS_IN_PYTHON.issuperset(map(type, chain(one, other))) and one == other:
+            return True
         return len(one) == len(other) and all(map(_equal, one, other))
     if isinstance(one, bool) or isinstance(other, bool):
         return one is other
