@@ -38,7 +38,11 @@ _delays.begin()
 SPARE_WORKERS = 4
 # One worker runs all tests of these, so that the scene is started, or what they share is built,
 # once, and always as they stand, as parts of a scene are ended one after another.
-TOGETHER = {"tests/examples/test_healthbot.py", "tests/packaging/test_distributions.py"}
+TOGETHER = {
+    "tests/examples/test_healthbot.py",
+    "tests/harness/test_harness.py",
+    "tests/packaging/test_distributions.py",
+}
 # The last resort against a test that hangs where nothing limits its wait.
 HANGING = 10
 # Of a test that is a coroutine: its report shows where it hung.

@@ -10,8 +10,10 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import dedent
 from unittest.mock import Mock
 
 import pytest
@@ -20,7 +22,7 @@ from tests.harness import ORDER, SPARE_WORKERS, Scheduler, _places
 from tests.harness._delays import DELAYS
 from tests.harness._leaks import maker, variables_of
 from tests.harness._needs import MODULES, NEEDS
-from tests.processes import run_python
+from tests.processes import run_program, run_python
 from tests.tiers import BY_DEFAULT, NAMES, TIERS
 from xdist.remote import Producer
 
@@ -48,19 +50,56 @@ def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
     return begin
 
 
-def test_a_test_that_is_a_coroutine_runs_in_a_loop_of_its_own(run: Run) -> None:
-    ran = run("""
-        import asyncio
+TESTS: dict[str, str] = {}
+"""What can run in one process: the start of a run costs more than most of its tests."""
+SET_UP = """
+import tests.harness as harness
+from tests.harness import _leaks
 
-        async def test_right(tmp_path):
-            await asyncio.sleep(0)
+harness.LONG_SECONDS, harness.LONG_LOOK_SECONDS = 0.3, 0.0
+_leaks.patience = lambda: 1.0
+"""
 
-        async def test_wrong():
-            await asyncio.sleep(0)
-            assert False, "it ran"
-        """)
-    ran.assert_outcomes(passed=1, failed=1)
-    ran.stdout.fnmatch_lines(["*AssertionError: it ran*"])
+
+class Ran:
+    """What a run of all the modules printed; its outcomes can be asked for by module."""
+
+    def __init__(self, printed: str) -> None:
+        self.printed = pytest.LineMatcher(printed.splitlines())
+
+    def outcomes(self, module: str) -> dict[str, int]:
+        line = re.compile(rf"test_{module}\.py::.* (PASSED|FAILED|ERROR|SKIPPED)\b")
+        return Counter(found[1].lower() for found in map(line.match, self.printed.lines) if found)
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    place = tmp_path_factory.mktemp("modules")
+    files = {f"test_{name}.py": dedent(tests) for name, tests in TESTS.items()}
+    files |= {"conftest.py": SET_UP, "pytest.ini": "[pytest]\nfilterwarnings = error"}
+    for name, text in files.items():
+        (place / name).write_text(text, encoding="utf-8")
+    without = ["env", *(f"--unset={name}" for name in ("CI", ORDER, DELAYS)), sys.executable]
+    given = ("-m", "pytest", "-v", "-ra", "-p", "tests.harness", "-p", "no:cacheprovider")
+    done = run_program(*without, *given, cwd=place, env={"PYTHONPATH": str(ROOT)})
+    return Ran(done.stdout)
+
+
+TESTS["coroutines"] = """
+    import asyncio
+
+    async def test_right(tmp_path):
+        await asyncio.sleep(0)
+
+    async def test_wrong():
+        await asyncio.sleep(0)
+        assert False, "it ran"
+"""
+
+
+def test_a_test_that_is_a_coroutine_runs_in_a_loop_of_its_own(ran: Ran) -> None:
+    assert ran.outcomes("coroutines") == {"passed": 1, "failed": 1}
+    ran.printed.fnmatch_lines(["*AssertionError: it ran*"])
 
 
 LEAKS = {
@@ -78,7 +117,7 @@ LEAKS = {
     "signal.signal(signal.SIGTERM, signal.SIG_IGN)": "the handler of SIGTERM changed*",
     "locale.setlocale(locale.LC_ALL, 'C')": "the locale changed*",
 }
-LEAKING = f"""
+TESTS["leaking"] = f"""
     import locale, os, signal, socket, subprocess, tempfile, threading
     import pytest
 
@@ -97,15 +136,11 @@ LEAKING = f"""
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux shows them")
-def test_a_leak_fails_the_test_that_made_it_by_name(run: Run) -> None:
-    found = run(
-        LEAKING,
-        set_up="from tests.harness import _leaks\n_leaks.patience = lambda: 1.0",
-    )
-    found.assert_outcomes(passed=len(LEAKS) + 2, errors=len(LEAKS))
+def test_a_leak_fails_the_test_that_made_it_by_name(ran: Ran) -> None:
+    assert ran.outcomes("leaking") == {"passed": len(LEAKS) + 2, "error": len(LEAKS)}
     for number, says in enumerate(LEAKS.values()):
-        found.stdout.fnmatch_lines([f"*test_leaking?{number}-* left behind:", f"*{says}*"])
-    assert "processes left behind" not in found.stdout.str()
+        ran.printed.fnmatch_lines([f"*test_leaking?{number}-* left behind:", f"*{says}*"])
+    ran.printed.no_fnmatch_line("*processes left behind*")
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux shows them")
@@ -117,60 +152,60 @@ def test_the_maker_of_a_process_is_known_as_soon_as_it_is_started() -> None:
         assert b"a start" in found
 
 
-def test_what_a_fixture_of_several_tests_holds_is_no_leak(run: Run) -> None:
-    found = run("""
-        import subprocess, threading
-        import pytest
+TESTS["holding"] = """
+    import subprocess, threading
+    import pytest
 
-        @pytest.fixture(scope="module")
-        def held():
-            go = threading.Event()
-            thread = threading.Thread(target=go.wait)
-            thread.start()
-            with subprocess.Popen(["sleep", "1000"]) as process:
-                yield
-                process.kill()
-            go.set()
-            thread.join()
+    @pytest.fixture(scope="module")
+    def held():
+        go = threading.Event()
+        thread = threading.Thread(target=go.wait)
+        thread.start()
+        with subprocess.Popen(["sleep", "1000"]) as process:
+            yield
+            process.kill()
+        go.set()
+        thread.join()
 
-        def test_one(held):
-            pass
+    def test_one(held):
+        pass
 
-        def test_two(held):
-            pass
-    """)
-    found.assert_outcomes(passed=2)
-    assert found.ret == 0
+    def test_two(held):
+        pass
+"""
 
 
-def test_a_thread_that_takes_the_place_of_one_of_its_name_is_no_leak_and_two_are(run: Run) -> None:
-    found = run(
-        """
-        import threading
-        import pytest
+def test_what_a_fixture_of_several_tests_holds_is_no_leak(ran: Ran) -> None:
+    assert ran.outcomes("holding") == {"passed": 2}
 
-        @pytest.fixture(scope="module")
-        def held():
-            gates = [threading.Event()]
-            threading.Thread(target=gates[0].wait, name="reads").start()
-            yield gates
-            for gate in gates:
-                gate.set()
 
-        @pytest.mark.parametrize("count", [1, 2])
-        def test_replaced(held, count):
-            held[-1].set()
-            for _ in range(count):
-                held.append(threading.Event())
-                threading.Thread(target=held[-1].wait, name="reads").start()
+TESTS["replaced"] = """
+    import threading
+    import pytest
 
-        def test_after(held):
-            pass
-        """,
-        set_up="from tests.harness import _leaks\n_leaks.patience = lambda: 1.0",
-    )
-    found.assert_outcomes(passed=3, errors=1)
-    found.stdout.fnmatch_lines(["*test_replaced?2? left behind:", "thread 'reads'"])
+    @pytest.fixture(scope="module")
+    def held():
+        gates = [threading.Event()]
+        threading.Thread(target=gates[0].wait, name="reads").start()
+        yield gates
+        for gate in gates:
+            gate.set()
+
+    @pytest.mark.parametrize("count", [1, 2])
+    def test_replaced(held, count):
+        held[-1].set()
+        for _ in range(count):
+            held.append(threading.Event())
+            threading.Thread(target=held[-1].wait, name="reads").start()
+
+    def test_after(held):
+        pass
+"""
+
+
+def test_a_thread_that_takes_the_place_of_one_of_its_name_is_no_leak_and_two_are(ran: Ran) -> None:
+    assert ran.outcomes("replaced") == {"passed": 3, "error": 1}
+    ran.printed.fnmatch_lines(["*test_replaced?2? left behind:", "thread 'reads'"])
 
 
 def test_a_process_that_outlives_the_run_fails_the_run_and_is_ended(run: Run) -> None:
@@ -210,31 +245,30 @@ def test_a_test_that_hangs_is_ended_and_says_where(run: Run) -> None:
     found.stdout.fnmatch_lines(["*threading.Event().wait()", "*Timeout (>0.6s)*"])
 
 
-def test_a_test_that_works_too_long_fails_however_fast_the_machine(run: Run) -> None:
-    found = run(
-        """
-        import time
-        import pytest
+TESTS["long"] = """
+    import time
+    import pytest
 
-        def work():
-            end = time.process_time() + 0.5
-            while time.process_time() < end:
-                pass
+    def work():
+        end = time.process_time() + 0.5
+        while time.process_time() < end:
+            pass
 
-        def test_slow():
-            work()
+    def test_slow():
+        work()
 
-        @pytest.mark.long
-        def test_long():
-            work()
+    @pytest.mark.long
+    def test_long():
+        work()
 
-        def test_that_waits():
-            time.sleep(0.6)
-        """,
-        set_up="harness.LONG_SECONDS = 0.3",
-    )
-    found.assert_outcomes(failed=1, passed=2)
-    found.stdout.fnmatch_lines(["*s of processor time: make it less, or mark it long"])
+    def test_that_waits():
+        time.sleep(0.6)
+"""
+
+
+def test_a_test_that_works_too_long_fails_however_fast_the_machine(ran: Ran) -> None:
+    assert ran.outcomes("long") == {"failed": 1, "passed": 2}
+    ran.printed.fnmatch_lines(["*s of processor time: make it less, or mark it long"])
 
 
 def test_a_step_takes_what_is_done_in_it_without_collections(
@@ -322,25 +356,24 @@ print(json.dumps([is_same, measured]))
 """
 
 
-def test_what_is_let_go_or_kept_is_left_out_of_later_looks_at_everything(run: Run) -> None:
-    found = run(
-        """
-        import gc
+TESTS["kept"] = """
+    import gc
 
-        kept = []
+    kept = []
 
-        def test_that_keeps():
-            gc.unfreeze()
-            kept.append([])
-            gc.collect()
-            assert any(value is kept for value in gc.get_objects())
+    def test_that_keeps():
+        gc.unfreeze()
+        kept.append([])
+        gc.collect()
+        assert any(value is kept for value in gc.get_objects())
 
-        def test_after():
-            assert not any(value is kept or value is kept[0] for value in gc.get_objects())
-        """,
-        set_up="harness.LONG_LOOK_SECONDS = 0.0",
-    )
-    found.assert_outcomes(passed=2)
+    def test_after():
+        assert not any(value is kept or value is kept[0] for value in gc.get_objects())
+"""
+
+
+def test_what_is_let_go_or_kept_is_left_out_of_later_looks_at_everything(ran: Ran) -> None:
+    assert ran.outcomes("kept") == {"passed": 2}
 
 
 def test_threads_begin_late_and_one_of_four_waits_ends_late_by_a_number() -> None:
@@ -414,21 +447,23 @@ def test_what_tests_are_given_by_the_environment_reaches_them() -> None:
     assert not [name for name in sorted(read) if not _places.is_kept(name)]
 
 
-def test_limits_of_what_is_imported_by_a_test_are_lengthened_too(run: Run) -> None:
-    found = run(
-        """
-        import sys
-        from uoarm.testing import patience
+TESTS["limits"] = """
+    import sys
+    import pytest
+    from uoarm.testing import patience
 
-        def test_late():
-            assert "uoarm._host.remote_bridge" not in sys.modules
-            assert "uoarm.server" not in sys.modules
-            from uoarm._host.remote_bridge import _PROMPT_SECONDS
-            from uoarm.server import Limits
-            assert _PROMPT_SECONDS == Limits().queue_seconds == patience()
-        """
-    )
-    found.assert_outcomes(passed=1)
+    @pytest.mark.long  # the imports take more than the modules beside this one may
+    def test_late():
+        assert "uoarm._host.remote_bridge" not in sys.modules
+        assert "uoarm.server" not in sys.modules
+        from uoarm._host.remote_bridge import _PROMPT_SECONDS
+        from uoarm.server import Limits
+        assert _PROMPT_SECONDS == Limits().queue_seconds == patience()
+"""
+
+
+def test_limits_of_what_is_imported_by_a_test_are_lengthened_too(ran: Ran) -> None:
+    assert ran.outcomes("limits") == {"passed": 1}
 
 
 def test_limits_that_are_lengthened_exist() -> None:
@@ -670,17 +705,18 @@ PATHS = """
 """
 
 
-@pytest.mark.parametrize(
-    ("suite", "paths"), [("Memory", ["text"]), ("Paths", ["more", "other"]), ("Fewer", ["text"])]
-)
-def test_what_holds_of_a_link_is_tested_once_for_each_path_of_a_suite(
-    run: Run, suite: str, paths: list[str]
+def test_what_holds_of_a_link_is_tested_for_each_path_and_what_concerns_messages_with_each_kind(
+    run: Run,
 ) -> None:
-    found = run(KIT + PATHS, "--collect-only", "-q", "-k", f"Test{suite} and broken_can_be_closed")
-    kinds = re.findall(r"closed\[(\w+)\]", found.stdout.str())
-    assert kinds == paths
-
-
-def test_what_concerns_messages_is_tested_with_each_kind(run: Run) -> None:
-    found = run(KIT + PATHS, "--collect-only", "-q", "-k", "TestPaths and pass_again")
-    assert re.findall(r"once\[(\w+)\]", found.stdout.str()) == ["text", "more", "other"]
+    wanted = "broken_can_be_closed or (TestPaths and pass_again)"
+    printed = run(KIT + PATHS, "--collect-only", "-q", "-k", wanted).stdout.str()
+    found = re.findall(r"::Test(\w+)::\w+_(closed|once)\[(\w+)\]", printed)
+    assert found == [
+        ("Memory", "closed", "text"),
+        ("Paths", "once", "text"),
+        ("Paths", "once", "more"),
+        ("Paths", "once", "other"),
+        ("Paths", "closed", "more"),
+        ("Paths", "closed", "other"),
+        ("Fewer", "closed", "text"),
+    ]
