@@ -160,8 +160,8 @@ test("of a function that is silent it is said what keeps messages from coming", 
   const opening = robot.request("numbers");
   reply({ connection: "c1", inputs: [], warnings: [], number: 0 });
   const stream = await opening;
-  const lost = { name: "a", health: "lost", cause: "killed" };
-  const status = { connections: [{ id: "c1", components: ["a"], cause: "" }], components: [lost], routes: [] };
+  const lost = { name: "a", health: "lost", cause: "killed", last_error: "" };
+  const status = { connections: [{ id: "c1", components: ["a"], state: "running", cause: "" }], components: [lost], routes: [] };
   const refused = "the server could not send the last message: no value";
 
   let silent = stream.get({ timeout: 0.001 });

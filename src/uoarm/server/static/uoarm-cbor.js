@@ -13,6 +13,7 @@ const TYPED = {
   81: [Float32Array, "big"], 82: [Float64Array, "big"],
   85: [Float32Array, "little"], 86: [Float64Array, "little"],
 };
+const MOST_DIGITS = 384; // octets of an integer, as the protocol says
 const ORDER = new Uint8Array(new Uint16Array([1]).buffer)[0] ? "little" : "big";
 const TAGS = new Map(Object.entries(TYPED)
   .filter(([tag, [, order]]) => tag !== "68" && (order === undefined || order === ORDER))
@@ -58,7 +59,10 @@ export function decode(data) {
     if (major === 1) return typeof length === "bigint" ? -1n - length : -1 - length;
     if (major === 2) return octets(length);
     if (major === 3) return PLAIN.decode(octets(length));
-    if (major === 4) return Array.from({ length }, item);
+    if (major === 4) {
+      if (length > bytes.length - at) throw new RangeError("the CBOR ends too early"); // before it is held
+      return Array.from({ length }, item);
+    }
     if (major === 6) return tagged(length, item());
     const made = {};
     for (let left = length; left > 0; left--) {
@@ -138,6 +142,7 @@ export function encode(value) {
 
 function tagged(tag, value) {
   if (tag === 2 || tag === 3) {
+    if (value.length > MOST_DIGITS) throw new RangeError("CBOR of an integer that is too long");
     const size = value.reduce((sum, input) => (sum << 8n) | BigInt(input), 0n);
     return tag === 2 ? narrow(size) : narrow(-1n - size);
   }
@@ -154,6 +159,8 @@ function tagged(tag, value) {
 }
 
 function rows(sizes, items) {
+  const product = sizes.reduce((sum, size) => (Number.isSafeInteger(size) && size >= 0 ? sum * size : NaN), 1);
+  if (product !== items.length) throw new RangeError("CBOR of an array that is not of its sizes");
   for (const size of sizes.slice(1).reverse()) {
     items = Array.from({ length: items.length / size }, (_, row) =>
       items.slice(row * size, (row + 1) * size));

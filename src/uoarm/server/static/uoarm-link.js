@@ -5,6 +5,7 @@ const DROPPED = 1006;
 const KEEP = "keep";
 const RESUME = "resume";
 const MOST_WAITING = 4096;
+const LONGEST_KEPT = 3600; // seconds for which a server is believed to keep a session
 const FIRST_PAUSE = 50;
 const LONGEST_PAUSE = 5000;
 // Closed for what this client did or may not do: it would be so again.
@@ -23,6 +24,64 @@ export class UoarmError extends Error {
     this.name = "UoarmError";
     this.code = code;
   }
+}
+
+/** Whether a value is of a kind: `text`, `boolean`, `number`, `null`, `object`, `list` or `any`. */
+function isKind(value, kind) {
+  if (kind === "any") return true;
+  if (kind === "null") return value === null;
+  if (kind === "list") return Array.isArray(value);
+  if (kind === "object") return isObject(value);
+  return typeof value === (kind === "text" ? "string" : kind);
+}
+
+function isObject(value) {
+  return typeof value === "object" && value !== null && !Array.isArray(value) && !ArrayBuffer.isView(value);
+}
+
+/**
+ * Returns a value that has a shape; throws where it has not. A shape is a kind, or several with `|`
+ * between; in a list, that of each item; in an object, that of each field, with `?` behind the name
+ * of one that may be missing, and `*` for all names. Whatever else is there is let through.
+ */
+export function checked(value, shape, place) {
+  const wrong = (wanted) => {
+    throw new Error(`${place}: expected ${wanted.replaceAll("|", " or ")}, got ${kindOf(value)}`);
+  };
+  if (typeof shape === "string") {
+    if (!shape.split("|").some((kind) => isKind(value, kind))) wrong(shape);
+  } else if (Array.isArray(shape)) {
+    if (!Array.isArray(value)) wrong("list");
+    value.forEach((item, index) => checked(item, shape[0], `${place}.${index}`));
+  } else {
+    if (!isObject(value)) wrong("object");
+    for (const name of "*" in shape ? Object.keys(value) : []) checked(value[name], shape["*"], `${place}.${name}`);
+    for (const [field, inner] of "*" in shape ? [] : Object.entries(shape)) {
+      const name = field.replace("?", "");
+      if (Object.hasOwn(value, name)) checked(value[name], inner, `${place}.${name}`);
+      else if (name === field) checked(undefined, inner, `${place}.${name}`);
+    }
+  }
+  return value;
+}
+
+function kindOf(value) {
+  if (value === undefined) return "nothing";
+  if (value === null) return "null";
+  return Array.isArray(value) ? "list" : typeof value;
+}
+
+const OWN = [{ connection: "text", number: "number|null" }];
+const SHAPES = {
+  error: { code: "text", text: "text" },
+  kept: { key: "text", seconds: "number" },
+  resumed: { own: OWN },
+};
+
+/** Returns the error that an Error of the server says. */
+export function errorOf(message) {
+  const { code, text } = checked(message, SHAPES.error, "Error");
+  return new UoarmError(code, text);
 }
 
 /** How many octets a frame has on the wire; of a text only where it may have more than `most`. */
@@ -132,12 +191,12 @@ export class Link {
           greet(socket, received, greeted);
         } else if (state === "greeting" && received.id === RESUME) {
           if (received.op === "Reply") greet(socket, received, greeted);
-          else fail(new UoarmError("unknown", received.jsonMessage.text));
+          else fail(new UoarmError("unknown", errorOf(received.jsonMessage).message));
         } else if (state !== "failed") this.#receive(received);
       };
       socket.onmessage = ({ data }) => {
         try {
-          receive(this.#form.read(data));
+          receive(checked(this.#form.read(data), "object", "a message"));
         } catch (error) {
           const strange = new UoarmError("unreadable", `the server sent what is no message: ${error.message}`);
           if (state !== "greeted") fail(strange);
@@ -215,7 +274,7 @@ export class Link {
       }
       this.#socket = socket;
       this.resumed += 1;
-      this.#wentOn(received.jsonMessage.own);
+      this.#wentOn(checked(received.jsonMessage, SHAPES.resumed, "Reply to Resume").own);
       greeted();
       const lost = { code: "closed", text: "too much waited when the connection dropped" };
       for (const id of beyond) this.#receive({ op: "Error", id, jsonMessage: lost });
@@ -238,8 +297,8 @@ export class Link {
       this.#unanswered.delete(received.id);
       this.#take(received);
     } else if (received.op === "Reply") {
-      this.#key = received.jsonMessage.key;
-      this.#seconds = received.jsonMessage.seconds;
+      const { key, seconds: kept } = checked(received.jsonMessage, SHAPES.kept, "Reply to Resume");
+      [this.#key, this.#seconds] = [key, Math.min(kept, LONGEST_KEPT)];
     }
   }
 

@@ -140,6 +140,11 @@ export interface ConnectOptions {
    * server, and what was open is opened again; 60 by default. 0: everything that waits fails.
    */
   reconnect?: number;
+  /**
+   * Seconds after which an answer comes no more, beyond the `timeout` of a call and the `wait` of a
+   * request; 120 by default. A question without any rejects with the code `timeout`.
+   */
+  answer?: number;
   /** A WebSocket class, where there is no global one. */
   WebSocket?: new (url: string, protocols: string[]) => unknown;
 }

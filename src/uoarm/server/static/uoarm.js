@@ -1,6 +1,6 @@
 // A client of `uoarm serve` for browsers and Node, without dependencies. Types: uoarm.d.ts.
 import { decode, encode } from "./uoarm-cbor.js";
-import { Link, UoarmError, seconds } from "./uoarm-link.js";
+import { Link, UoarmError, checked, errorOf, seconds } from "./uoarm-link.js";
 
 export { UoarmError };
 
@@ -268,6 +268,71 @@ export class Stream {
   }
 }
 
+const CHANGE = { number: "number", time: "number", subject: "text", change: "text", cause: "text", function: "text" };
+const NOTICES = {
+  hello: { "message_bytes?": "number|null" },
+  connection: { connection: "text", state: "text", cause: "text", number: "number" },
+  change: CHANGE,
+};
+const ENTRIES = {
+  components: { name: "text", health: "text", cause: "text", last_error: "text" },
+  connections: { id: "text", components: ["text"], state: "text", cause: "text" },
+  routes: { producer: "text", consumer: "text", age: "number|null", "refusal?": "text" },
+};
+const APPROVAL = { approval: "text", phase: "text", requester: "text", function: "text", digest: "text" };
+const RECORDING = { recording: "text", state: "text", files: ["text"] };
+const PLAYER = { bridge: "text", functions: ["text"], may_move: "boolean", cause: "text" };
+const REVISION = { revision: "number", differences: ["text"], text: "text" };
+// By the question: its op, and what it has that makes it another one. A service replies anything.
+const ANSWERS = {
+  Request: {
+    connection: "text", inputs: ["text"], warnings: ["text"], "lifetimes?": { "*": "number" },
+    "number?": "number|null",
+  },
+  List: {
+    functions: [{
+      name: "text", description: "text", service: "boolean", outputs: ["text"], inputs: ["text"],
+      components: [{ name: "text", bridge: "text", priority: "number" }],
+    }],
+  },
+  Resolve: { plan: { steps: [{ component: { name: "text" }, structures: "object" }] }, text: "text" },
+  Configure: { revisions: [REVISION] },
+  "Configure text": REVISION,
+  "Configure rollback": REVISION,
+  "Configure schema": { schema: "object" },
+  Discover: { bridges: ["object"] },
+  "Discover take": { text: "text" },
+  Approve: { approvals: [APPROVAL] },
+  "Approve type": APPROVAL,
+  Record: { recordings: [RECORDING] },
+  "Record functions": RECORDING,
+  "Record type": RECORDING,
+  Play: { players: [PLAYER] },
+  "Play type": PLAYER,
+  Stop: { stopped: "boolean", inputs: ["object"], text: "text" },
+  "Stop type": "any",
+  "Stop release": "any",
+};
+
+/** Returns what answers a question, where it is what the protocol says; throws where it is not. */
+function checkedAnswer({ op, type, jsonMessage }, answer) {
+  if (op === "Status") return checked(answer, statusShape(answer), "Status");
+  if (!ANSWERS[op]) return answer;
+  const kinds = [...(type ? ["type"] : []), ...Object.keys(jsonMessage ?? {})].map((name) => `${op} ${name}`);
+  return checked(answer, ANSWERS[kinds.find((kind) => ANSWERS[kind]) ?? op], `Reply to ${op}`);
+}
+
+function statusShape(answer) {
+  const isPartial = answer?.since !== undefined;
+  const shape = isPartial ? { elapsed: "number" } : {};
+  for (const [part, entry] of Object.entries(ENTRIES)) {
+    const isChange = isPartial && !Array.isArray(answer[part]);
+    const key = part === "routes" ? ["text"] : "text";
+    shape[`${part}?`] = isChange ? { "changed?": [entry], "gone?": [key] } : [entry];
+  }
+  return shape;
+}
+
 const KEYS = {
   components: (entry) => entry.name,
   connections: (entry) => entry.id,
@@ -286,7 +351,7 @@ export function mergeStatus(known, { since, elapsed, ...received }) {
   for (const [part, keyOf] of Object.entries(KEYS)) {
     if (Array.isArray(received[part])) continue;
     const { changed = [], gone = [] } = received[part] ?? {};
-    const entries = new Map(known[part].map((entry) => [keyOf(entry), entry]));
+    const entries = new Map((known?.[part] ?? []).map((entry) => [keyOf(entry), entry]));
     if (part === "routes") {
       for (const [key, route] of entries) {
         if (route.age !== null) entries.set(key, { ...route, age: route.age + elapsed });
@@ -331,9 +396,12 @@ export class Robot {
   #status = null;
   #next = 1;
   #ended = null;
+  #answer;
+  #abandoned = new Set(); // Requests without an answer in time: what they open is given back
 
-  constructor(options) {
+  constructor({ answer, ...options }) {
     this.hello = null;
+    this.#answer = answer;
     this.#link = new Link({
       ...options,
       take: (received) => this.#take(received),
@@ -487,14 +555,33 @@ export class Robot {
     const id = String(this.#next++);
     return new Promise((resolve, reject) => {
       this.#link.send({ ...fields, id });
-      this.#asked.set(id, { fields, stream, resolve, reject });
+      const given = fields["x-timeout"] ?? (fields.op === "Request" ? fields.jsonMessage?.wait : 0) ?? 0;
+      const seconds = this.#answer + given;
+      const timer = setTimeout(() => this.#giveUp(id, seconds), Math.min(seconds * 1000, LONGEST_TIMER));
+      this.#asked.set(id, { fields, stream, timer, resolve, reject });
     });
+  }
+
+  #giveUp(id, seconds) {
+    const { fields: { op, type }, reject } = this.#forget(id);
+    if (op === "Request") this.#abandoned.add(id);
+    if (op === "Call") this.#ask({ op: "Kill", type: id, jsonMessage: { call: true } }).catch(() => {});
+    const what = type === undefined ? op : `${op} ${type}`;
+    reject(new UoarmError("timeout", `the server has not answered ${what} within ${seconds} s`));
+  }
+
+  #forget(id) {
+    const asked = this.#asked.get(id);
+    this.#asked.delete(id);
+    clearTimeout(asked?.timer);
+    return asked;
   }
 
   #take(received) {
     const { op, type, id, jsonMessage: message } = received;
     if (op === "Data") {
-      const number = received["x-standing"] ? 0 : received["x-number"];  // 0: what lies between is not lost
+      // 0: what lies between is not lost
+      const number = received["x-standing"] ? 0 : checked(received["x-number"], "number", "Data");
       this.#streams.get(type)?.take(number, message);
     }
     else if (op === "Status") this.#takeStatus(type, message);
@@ -502,6 +589,7 @@ export class Robot {
   }
 
   #takeStatus(type, message) {
+    if (Object.hasOwn(NOTICES, type)) checked(message, NOTICES[type], `Status ${type}`);
     if (type === "hello") {
       this.hello = message;
       this.#link.most = message.message_bytes ?? Infinity;
@@ -514,11 +602,16 @@ export class Robot {
   }
 
   #takeAnswer(op, type, id, message) {
-    const asked = this.#asked.get(id);
-    this.#asked.delete(id);
-    if (op === "Error" && id === undefined) this.#streams.get(type)?.refuse(message.text);
-    if (!asked) return;
-    if (op === "Error") asked.reject(new UoarmError(message.code, message.text));
+    if (op === "Error" && id === undefined) this.#streams.get(type)?.refuse(errorOf(message).message);
+    if (this.#abandoned.delete(id) && op === "Reply") {
+      this.#ask({ op: "Kill", type: checked(message, ANSWERS.Request, "Reply").connection }).catch(() => {});
+    }
+    if (!this.#asked.has(id)) return;
+    if (op !== "Reply" && op !== "Error") throw new Error("op: expected Reply or Error");
+    if (op !== "Error") checkedAnswer(this.#asked.get(id).fields, message);
+    const error = op === "Error" ? errorOf(message) : null;
+    const asked = this.#forget(id);
+    if (error) asked.reject(error);
     else if (asked.fields.op === "Request") {
       // Made here, since the first message may follow before the caller has woken.
       const stream = asked.stream ?? new Stream(
@@ -535,8 +628,8 @@ export class Robot {
   }
 
   #fail(error) {
-    for (const { reject } of this.#asked.values()) reject(error);
-    this.#asked.clear();
+    for (const id of [...this.#asked.keys()]) this.#forget(id).reject(error);
+    this.#abandoned.clear();
   }
 
   /** Fails what waits, and lets nothing be sent to connections of a session that is gone. */
@@ -589,10 +682,11 @@ export class Robot {
  * Connect to a server. With `binary` octets come as Uint8Array instead of base64 text; with
  * `resume` a connection that drops is renewed, and the session goes on. Where that is gone, as after
  * a restart of the server, a new one is tried for `reconnect` seconds and what was open is opened
- * again; `gaps` of a stream counts it. What waited for an answer fails; no command is repeated.
+ * again; `gaps` of a stream counts it. What waited for an answer fails; no command is repeated. An
+ * answer comes within `answer` seconds, beyond those that the question gives it, or not at all.
  */
 export async function connect(
-  url, { token, binary = false, timeout = 10, resume = true, reconnect = 60, WebSocket } = {},
+  url, { token, binary = false, timeout = 10, resume = true, reconnect = 60, answer = 120, WebSocket } = {},
 ) {
   const Socket = WebSocket ?? globalThis.WebSocket;
   if (!Socket) throw new UoarmError("usage", NO_SOCKET);
@@ -601,7 +695,7 @@ export async function connect(
   if (token !== undefined) protocols.push(`uoarm.token.${token}`);
   const open = () => new Socket(url, protocols);
   try {
-    return await new Robot({ open, form, timeout, resume, reconnect }).start();
+    return await new Robot({ open, form, timeout, resume, reconnect, answer }).start();
   } catch (error) {
     if (!(error instanceof UoarmError)) throw error;
     const shown = String(url).replace(/([?&]token=)[^&#]*/, "$1***");
