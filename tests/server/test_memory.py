@@ -112,9 +112,11 @@ def test_data_for_a_component_that_hangs_is_bounded_and_goes_with_its_client(
     eventually(lambda: not robot.status().connections, "it is closed")
 
 
-def sending(connection: Any, workers: Workers, account: Account) -> InputSender:
+def sending(
+    connection: Any, workers: Workers, account: Account, command: object = None
+) -> InputSender:
     structure = MessageStructure(schema={"type": "object"})
-    endpoint = SimpleNamespace(command=None)
+    endpoint = SimpleNamespace(command=command)
     component = SimpleNamespace(
         name="it",
         function="it",
@@ -141,6 +143,50 @@ async def until(condition: Callable[[], bool]) -> None:
 
 def run(work: Any) -> None:
     asyncio.run(asyncio.wait_for(work, patience()))
+
+
+def test_what_ends_motion_is_handed_over_though_all_is_taken_and_hangs() -> None:
+    gate, taken = threading.Event(), []
+
+    async def work() -> None:
+        workers = Workers(1, 1, LoopMailbox(asyncio.get_running_loop()))
+        account = ServerMemory(10, 10).open()
+        sender = sending(
+            SimpleNamespace(_send=lambda *m, **_: taken.append(m[0])), workers, account
+        )
+        hanging = [workers.start(lambda: gate.wait(patience()))]
+        hanging += [workers.start(lambda: gate.wait(patience()), always=True) for _ in range(2)]
+        received: list[BaseException | None] = []
+        with pytest.raises(BusyError, match="all 1 workers"):
+            sender.send({"go": 1}, None, received.append, 10)
+        with pytest.raises(LimitError):
+            sender.send({"go": 2}, None, received.append, 20)
+        sender.send({"cancel": 1}, None, received.append, 20, ends_motion=True)
+        await until(lambda: received == [None])
+        assert (taken, account.held) == ([{"cancel": 1}], 0)
+        gate.set()
+        await asyncio.gather(*hanging)
+        workers.close()
+
+    run(work())
+
+
+def test_what_a_client_moves_is_stopped_though_all_that_is_freed_hangs() -> None:
+    gate, left = threading.Event(), threading.Event()
+
+    async def work() -> None:
+        workers = Workers(1, 1, LoopMailbox(asyncio.get_running_loop()))
+        account = ServerMemory(10, 10).open()
+        connection = SimpleNamespace(leave=lambda _: left.set())
+        sender = sending(connection, workers, account, SimpleNamespace(lease=1.0))
+        hanging = [workers.free(lambda: gate.wait(patience())) for _ in range(50)]
+        sender.close()
+        await until(left.is_set)
+        gate.set()
+        await asyncio.gather(*hanging)
+        workers.close()
+
+    run(work())
 
 
 @pytest.mark.parametrize(("size", "left"), [(2_000_000, 2), (2_000, 0)], ids=["large", "small"])

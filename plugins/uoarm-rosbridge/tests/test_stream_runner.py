@@ -63,10 +63,23 @@ class Emitting:
 class Taking:
     """Hands goals over at once."""
 
+    def __init__(self, sent: list[tuple[str | None, Message]]) -> None:
+        self._sent = sent
+
     def structure(self, port: str | None) -> MessageStructure:
         return MessageStructure(schema=True)
 
-    def send(self, message: Message, port: str | None, done: Done, octets: int) -> None:
+    def send(
+        self,
+        message: Message,
+        port: str | None,
+        done: Done,
+        octets: int,
+        *,
+        ends_motion: bool = False,
+    ) -> None:
+        assert ends_motion is (port == "cancel")
+        self._sent.append((port, message.arguments if isinstance(message, Goal) else message))
         done(None)
 
     def close(self) -> None:
@@ -79,6 +92,7 @@ class Feeds:
 
     feeds: dict[str, Emitting]
     limits: Limits = field(factory=Limits)
+    sent: list[tuple[str | None, Message]] = field(factory=list)
 
     async def join(self, wanted: FeedKey) -> Feed:
         return cast("Feed", self.feeds[wanted.name.partition(".")[2]])
@@ -90,7 +104,7 @@ class Feeds:
         return cast("Account", SimpleNamespace(close=lambda: None))
 
     def sender(self, connection: Connection, account: Account, read: Read) -> InputSender:
-        return cast("InputSender", Taking())
+        return cast("InputSender", Taking(self.sent))
 
 
 def opened() -> dict[str, Emitting]:
@@ -136,5 +150,44 @@ def test_an_action_that_ended_while_it_opened_is_let_go_whole() -> None:
         await failed.wait()
         await asyncio.sleep(0)
         assert not [name for name, feed in feeds.items() if feed.listeners]
+
+    asyncio.run(asyncio.wait_for(work(), patience()))
+
+
+def test_a_goal_that_is_accepted_too_late_is_cancelled_and_no_one_elses() -> None:
+    async def work() -> None:
+        backend = Feeds(opened(), Limits(request_seconds=0.01))
+        runner = StreamRunner("walk", cast("Backend", backend))
+        failed, ended = asyncio.Event(), []
+
+        def too_late(error: BaseException) -> None:
+            backend.limits = Limits(request_seconds=patience())  # the answer comes within these
+            ended.append(str(error))
+            failed.set()
+
+        runner.start(Goal("late", ended.append, lambda *_: None, too_late))
+        runner.start(Goal("next", ended.append, lambda *_: None, lambda _: None))
+        await failed.wait()
+        assert ended == ["'walk' has not answered the goal in time"]
+        assert backend.sent == [("goal", "late")]
+        backend.feeds["status"].take({"goal_id": "1", "status": "accepted"})
+        assert backend.sent[1:] == [("cancel", {"goal_id": "1"}), ("goal", "next")]
+        backend.feeds["status"].take({"goal_id": "2", "status": "accepted"})
+        backend.feeds["feedback"].take({"goal_id": "1", "feedback": "of the late one"})
+        backend.feeds["feedback"].take({"goal_id": "2", "feedback": "of the next"})
+        assert ended[1:] == ["of the next"]
+
+    asyncio.run(asyncio.wait_for(work(), patience()))
+
+
+def test_a_goal_that_is_never_answered_holds_up_the_next_for_a_while_only() -> None:
+    async def work() -> None:
+        backend = Feeds(opened(), Limits(request_seconds=0.01))
+        runner = StreamRunner("walk", cast("Backend", backend))
+        for name in ("never", "next"):
+            runner.start(Goal(name, lambda _: None, lambda *_: None, lambda _: None))
+        while len(backend.sent) < 2:  # noqa: ASYNC110 - of the runner's own timers
+            await asyncio.sleep(0.001)
+        assert backend.sent == [("goal", "never"), ("goal", "next")]
 
     asyncio.run(asyncio.wait_for(work(), patience()))

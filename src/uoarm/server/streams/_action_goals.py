@@ -190,7 +190,8 @@ class StreamRunner:
         else:
             identity = next((name for name, value in self._running.items() if value is goal), None)
             if identity is not None and self._sending is not None:
-                self._sending.send({"goal_id": identity}, "cancel", done, _CANCEL_OCTETS)
+                message = {"goal_id": identity}
+                self._sending.send(message, "cancel", done, _CANCEL_OCTETS, ends_motion=True)
 
     def stop(self, goal: Goal) -> bool:
         """Have the input that takes goals send its stop message; one that waits is not given.
@@ -277,9 +278,17 @@ class StreamRunner:
         self._next()
 
     def _late(self, goal: Goal) -> None:
-        # An answer that comes still is taken for the next goal's: it does not say whose it is.
         text = f"{self._function!r} has not answered the goal in time"
-        self._refused(goal, BridgeTimeoutError(text))
+        goal.fail(BridgeTimeoutError(text))
+        # An answer that comes still does not say whose it is: no other goal is handed over for as
+        # long again, whose client would get this one's id. Where it is accepted, it is cancelled.
+        self._unwanted = True
+        seconds = self._backend.limits.request_seconds
+        self._timer = asyncio.get_running_loop().call_later(seconds, self._give_up, goal)
+
+    def _give_up(self, goal: Goal) -> None:
+        self._answered(goal)
+        self._next()
 
     def _answered(self, goal: Goal) -> None:
         if goal is self._asked:
@@ -315,7 +324,8 @@ class StreamRunner:
             for part, message in early:
                 self._receive(part, message)
             if unwanted:
-                self.cancel(goal, _ignore)
+                with suppress(UoarmError):  # the server is closing, which ends the function
+                    self.cancel(goal, _ignore)
         self._next()
 
     def _forward(

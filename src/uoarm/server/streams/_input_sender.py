@@ -69,6 +69,7 @@ class _QueuedMessage:
     charge: Charge
     take_over: bool
     sent: float
+    ends_motion: bool
     is_stopped: bool = False
 
 
@@ -126,6 +127,7 @@ class InputSender:
         *,
         take_over: bool = False,
         age: float = 0.0,
+        ends_motion: bool = False,
     ) -> None:
         """Hand one message over, after those before it; `done` is called with how it went.
 
@@ -136,17 +138,24 @@ class InputSender:
             octets: of memory that the message holds.
             take_over: whether to take the lease of the input, as `Connection.send` has it.
             age: seconds since it left its sender, as far as that is known.
+            ends_motion: whether it cancels what moves: it has a thread, and room, whatever else
+                waits. The caller bounds how many there are.
 
         Raises:
-            BusyError: too many wait already, or every worker is taken.
+            BusyError: too many wait already, or every worker is taken; or the server is closing.
             LimitError: the client has too much memory held.
         """
-        if len(self._waiting) >= self._limit:
-            raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
-        # Charged before it is kept: a refusal leaves nothing behind.
-        charge = self._account.charge(MemoryUse.SENDING, octets)
+        if ends_motion:
+            charge = self._account.hold(MemoryUse.SENDING)
+            charge.resize(octets)
+        else:
+            if len(self._waiting) >= self._limit:
+                raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
+            # Charged before it is kept: a refusal leaves nothing behind.
+            charge = self._account.charge(MemoryUse.SENDING, octets)
         sent = boot_seconds() - age
-        self._waiting.append(_QueuedMessage(message, port, done, charge, take_over, sent))
+        queued = _QueuedMessage(message, port, done, charge, take_over, sent, ends_motion)
+        self._waiting.append(queued)
         if not self._running:
             try:
                 self._run()
@@ -198,7 +207,7 @@ class InputSender:
         while self._stops:
             _conclude(self._stops.popleft()[1], self._has_ended())
         if self._has_lease():
-            self._workers.free(lambda: self._connection.leave(self._holder))
+            self._workers.stop(lambda: self._connection.leave(self._holder))
         while self._waiting:
             queued = self._waiting.popleft()
             queued.charge.release()
@@ -240,11 +249,16 @@ class InputSender:
             stopping.add_done_callback(lambda ended: self._stopped(done, ended.result()))
             return
         batch = self._next_batch()
+
         # May refuse when nothing runs: then nothing was taken from the queue yet, and `send` takes
         # back what it added. What goes on is never refused.
-        future = self._workers.start(
-            lambda: [self._hand_over(queued) for queued in batch], always=self._running
-        )
+        def hand_over() -> list[BaseException | None]:
+            return [self._hand_over(queued) for queued in batch]
+
+        if any(queued.ends_motion for queued in batch):
+            future = self._workers.stop(hand_over)
+        else:
+            future = self._workers.start(hand_over, always=self._running)
         self._running = True
         self._handing = batch
         for _ in batch:

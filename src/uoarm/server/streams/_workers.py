@@ -320,10 +320,7 @@ class Workers:
     def stop(self, action: Callable[[], T]) -> asyncio.Future[T]:
         """Run what stops the robot, or lets it go on: at once, whatever the other threads wait for.
 
-        The caller bounds how many there are.
-
-        Raises:
-            BusyError: the server is closing.
+        Never refused; the caller bounds how many there are.
         """
         return self._submit(self._stopping, action)
 
@@ -339,8 +336,9 @@ class Workers:
         self._opening.close(drop=False)
         self._stopping.close(drop=False)
         self._freeing.close(drop=False)
-        # What was being opened until now is to be freed still, by threads that do not stay.
+        # What was being opened until now is to be freed, and stopped, by threads that do not stay.
         self._freeing = WorkerPool("uoarm-serve-free", _FREEING, idle_seconds=0)
+        self._stopping = WorkerPool("uoarm-serve-stop", idle_seconds=0)
 
     def _begin(self, action: Callable[[], T], owner: Hashable, future: asyncio.Future[T]) -> None:
         # Before the thread gets it, which may be done with it at once.
