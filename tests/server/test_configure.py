@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from pathlib import Path
 
@@ -195,6 +196,21 @@ def test_the_command_line(guarded: Server, tmp_path: Path) -> None:
     assert apply(guarded, tmp_path / "none.yaml").exit_code == 3
     gone = ["apply", str(path), "--url", "ws://127.0.0.1:1/"]
     assert CliRunner().invoke(main, gone).exit_code == 4
+
+
+async def test_the_history_says_of_connections_what_the_change_said(
+    guarded: Server, tmp_path: Path
+) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(NO_NUMBERS, encoding="utf-8")
+    async with connect(url(guarded), token=TOKENS["keeper"]) as keeper:
+        await keeper.request("numbers")
+        done = await asyncio.to_thread(apply, guarded, path, "--force")
+        asked = ["history", "--url", url(guarded), "--token", TOKENS["keeper"]]
+        report = await asyncio.to_thread(CliRunner().invoke, main, asked)
+    head, *lines = done.stdout.splitlines()
+    assert (head, "(numbers) ends: " in done.stdout) == ("revision 1, applied", True)
+    assert report.stdout.splitlines()[2:] == lines
 
 
 def test_who_may_configure_gets_the_schema_of_the_text(guarded: Server) -> None:

@@ -264,8 +264,8 @@ def history(*, server: Remote, as_json: bool) -> None:
     for revision in revisions:
         when = datetime.fromtimestamp(revision["time"], timezone.utc).isoformat(timespec="seconds")
         echo(styled(f"revision {revision['revision']}  {when}", bold=True))
-        for line in (*revision["differences"], *revision["connections"]):
-            echo(f"  {line}")
+        if revision["differences"] or revision["connections"]:
+            echo(revision["text"].partition("\n")[2])
 
 
 def _text(file: str) -> str:
