@@ -151,14 +151,25 @@ def test_text_of_a_component_does_not_control_the_terminal(folder: Path) -> None
     assert f"RuntimeError: {text}" in seen.raw
 
 
+PLAIN = """
+from uoarm.cli import main
+
+for words in (["status"], ["list"], ["resolve", "nothing"], ["request", "count"]):
+    try:
+        main(words)
+    except SystemExit:
+        print(words, "has ended")
+"""
+
+
 def test_colours_are_for_terminals_that_have_them_and_who_wants_them(folder: Path) -> None:
     status = on_a_terminal(["status", "--watch", "--every", "0.1"], folder, interrupt_at="\x1b[2J")
     assert "\x1b[32m" in status.raw
     for variable, value in (("NO_COLOR", "1"), ("TERM", "dumb")):
-        for command in (["status"], ["list"], ["resolve", "nothing"], ["request", "count"]):
-            seen = on_a_terminal(command, folder, environment={variable: value})
-            assert not re.search(r"\x1b\[[0-9;]*3[0-7]", seen.raw), seen.raw
-            assert "NO_COLOR" in variable or "\x1b" not in seen.raw, seen.raw
+        seen = on_a_terminal([], folder, program=("-c", PLAIN), environment={variable: value})
+        assert seen.text.count("has ended") == 4, seen.text
+        assert not re.search(r"\x1b\[[0-9;]*3[0-7]", seen.raw), seen.raw
+        assert "NO_COLOR" in variable or "\x1b" not in seen.raw, seen.raw
     assert (
         "\x1b[31m"
         in on_a_terminal(["resolve", "nothing"], folder, environment={"NO_COLOR": ""}).raw
