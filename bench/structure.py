@@ -45,7 +45,7 @@ WORDS = {
 _WORD_OF = {form: word for word, forms in WORDS.items() for form in forms}
 _VAGUE = {"one", "each"}
 _LOOP = re.compile(r"\bfor\b[^:=]{0,80}\b(?:one|each)\b[^:=]{0,80}\bin\b")
-_CLASS = re.compile(r"^class [A-Za-z]", re.MULTILINE)
+_CLASS = re.compile(r"^class ([A-Za-z]\w*)[(:\[]", re.MULTILINE)
 _BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
 _ENTRY_POINT = re.compile(r'[\w-]+ = "([\w.]+)(?::\w+)?"$')
 _PARTS = re.compile(r"[A-Z]?[a-z]+")
@@ -120,12 +120,8 @@ def class_names(root: Path = ROOT) -> Mapping[str, list[str]]:
     """Return where each public class of core and plugins is defined, by its name."""
     places: dict[str, list[str]] = defaultdict(list)
     for path in python_files("src", "plugins/*/src", root=root):
-        source = path.read_text(encoding="utf-8")
-        if not _CLASS.search(source):
-            continue
-        for node in ast.parse(source).body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                places[node.name].append(str(path.relative_to(root)))
+        for name in _CLASS.findall(path.read_text(encoding="utf-8")):
+            places[name].append(str(path.relative_to(root)))
     return places
 
 

@@ -7,13 +7,13 @@ import os
 import pwd
 import socket
 import stat
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from tests.processes import run_python
+from click.testing import CliRunner, Result
 
+from uoarm.cli import main
 from uoarm.cli._service import Finding, Level, examine, find_unit, read_unit
 from uoarm.errors import UsageError
 
@@ -182,21 +182,21 @@ def test_the_command_says_it_as_text_and_as_json(tmp_path: Path) -> None:
     unit = tmp_path / "uoarm.service"
     unit.write_text("[Service]\nExecStart=/no/such/uoarm serve /no/robot.yaml\n", "utf-8")
 
-    def run(*words: str) -> subprocess.CompletedProcess[str]:
-        return run_python("-m", "uoarm", "doctor", "--service", *words)
+    def run(*words: str) -> Result:
+        return CliRunner().invoke(main, ["doctor", "--service", *words])
 
     shown = run("--unit", str(unit))
-    assert shown.returncode == BRIDGE
+    assert shown.exit_code == BRIDGE
     assert "no program that can be run" in shown.stdout
     report = run("--unit", str(unit), "--json")
-    assert report.returncode == BRIDGE
+    assert report.exit_code == BRIDGE
     found = json.loads(report.stdout)
     assert (found["unit"], found["usable"]) == (str(unit), False)
     assert {"check": "user", "level": "error"}.items() <= {
         key: value for key, value in found["findings"][1].items() if key != "text"
     }.items()
     missing = run("--unit", str(tmp_path / "none.service"))
-    assert missing.returncode == 1
+    assert missing.exit_code == 1
     assert "there is no unit file" in missing.stderr
 
 
