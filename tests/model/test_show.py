@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uoarm.model import show_value
+from uoarm.model import Reason, Rejection, format_rejections, show_value
 
 
 class Unwritten(list[int]):
@@ -32,3 +32,15 @@ class Unwritten(list[int]):
 )
 def test_a_value_is_shown_in_short(value: object, shown: str) -> None:
     assert show_value(value) == shown
+
+
+def test_a_reason_of_several_lines_stands_below_its_candidate() -> None:
+    """As that of another manager, which names candidates of its own."""
+    there = Rejection("drive", "far", 0, (Reason("it is gone"),))
+    reason = Reason(f"there no component can provide 'drive':\n{format_rejections((there,))}")
+    assert format_rejections((Rejection("drive", "near", 1, (reason,)),)).splitlines() == [
+        "  drive: near (priority 1)",
+        "    - there no component can provide 'drive':",
+        "        drive: far (priority 0)",
+        "          - it is gone",
+    ]

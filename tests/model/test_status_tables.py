@@ -48,3 +48,10 @@ def test_where_a_table_is_too_wide_each_row_says_what_it_has(width: int) -> None
 def test_a_table_that_fits_stays_one() -> None:
     few = {"connections": STATUS["connections"][:1]}
     assert format_status(few, 60) == format_status(few)
+
+
+def test_a_fact_that_is_not_known_yet_is_left_out() -> None:
+    facts = [("url", "ws://robot"), ("manager", ""), ("breaks", 0), ("clock_ahead", None)]
+    text = format_status({"bridges": [{"name": "up", "facts": facts}]})
+    assert "url ws://robot, breaks 0" in text
+    assert not {"manager", "clock_ahead"} & set(text.split())

@@ -177,7 +177,8 @@ def format_rejections(rejections: tuple[Rejection, ...]) -> str:
 def format_reason(reason: Reason) -> list[str]:
     """Return one reason as lines of text, with what would mend it."""
     where = f"{reason.path}: " if reason.path else ""
-    lines = [f"- {where}{reason.sentence}"]
+    head, *more = reason.sentence.splitlines() or [""]  # another manager's has its own tree
+    lines = [f"- {where}{head}", *(f"  {line}" for line in more)]
     if reason.producer:
         lines.append(f"    may emit: {reason.producer}")
     if reason.consumer:

@@ -180,7 +180,8 @@ def _shown(value: object, column: str) -> str:
     if isinstance(value, float):
         return f"{1000 * value:.3f} ms" if column.startswith("clock_") else f"{value:.1f}"
     if isinstance(value, list | tuple):
-        return ", ".join(f"{item} {_fact(other)}" for item, other in value)
+        known = (pair for pair in value if pair[1] is not None and pair[1] != "")
+        return ", ".join(f"{item} {_fact(other)}" for item, other in known)
     return "" if value is None else str(value)
 
 
