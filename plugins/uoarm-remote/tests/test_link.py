@@ -492,6 +492,22 @@ functions:
         middle.close()
 
 
+def test_what_is_refused_there_once_it_was_taken_is_counted_there(desk: Desk) -> None:
+    """The answer comes when a command waits there: a page says what that is worth."""
+    limits = "lifetime: 2.0, limits: {speed: {maximum: 1}}"
+    robot = ServedRobot(ROBOT.replace("lifetime: 2.0", limits))
+    try:
+        manager = desk(robot.url)
+        with manager.request("drive") as drive:
+            drive.send({"speed": 5.0})
+            assert drive.flush(patience())
+            assert [route.dropped for route in manager.status().routes] == [()]
+            there = robot.manager.status
+            wait(lambda: there().routes[0].dropped == (("beyond-limits", 1),), "it was not refused")
+    finally:
+        robot.close()
+
+
 def test_an_emergency_stop_there_is_a_refusal_here(robot: ServedRobot, desk: Desk) -> None:
     manager = desk(robot.url)
     with manager.request("drive") as drive:
