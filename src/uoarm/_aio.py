@@ -19,9 +19,10 @@ from uoarm._arguments import arguments
 from uoarm._control.connection import Connection
 from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
+from uoarm._encodable import shown
 from uoarm._forks import generation
 from uoarm._hints.applications import T
-from uoarm._raised import foreign, writable
+from uoarm._raised import LimitedLog, foreign
 from uoarm._renewal import HeldCommand
 from uoarm._support.aio_deadlines import event_by
 from uoarm.bridge import Registry
@@ -243,13 +244,14 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
         await self.kill()
 
     async def _read(self) -> None:
+        records = LimitedLog(_log)
         try:
             async for message in self:
                 for callback in self._callbacks:
                     try:
                         foreign(callback, message)
                     except Exception as error:  # noqa: BLE001 - a callback may raise anything
-                        _log.error("callback %r raised", callback, exc_info=writable(error))
+                        records.write(logging.ERROR, f"callback {shown(callback)} raised", error)
         except ConnectionClosedError as error:
             _log.debug("%s", error)  # its state and cause say so to a caller that asks
 
@@ -431,17 +433,15 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
         Call it in the loop.
         """
         loop = asyncio.get_running_loop()
-        listening = True
+        listening, records = True, LimitedLog(_log)
 
         def notify(event: StatusEvent) -> None:
             if listening:
                 try:
                     foreign(listener, event)
                 except Exception as error:  # noqa: BLE001 - a listener may raise anything
-                    shown = writable(error)
-                    _log.error(
-                        "listener %r failed at event %d", listener, event.number, exc_info=shown
-                    )
+                    text = f"listener {shown(listener)} failed at event {event.number}"
+                    records.write(logging.ERROR, text, error)
 
         def pass_on(event: StatusEvent) -> None:
             if not loop.is_closed():

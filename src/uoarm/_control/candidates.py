@@ -11,6 +11,7 @@ from functools import partial
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
 from uoarm._dataplane import Clock
+from uoarm._raised import LimitedLog
 from uoarm._resolve import (
     Discovery,
     DiscoveryRounds,
@@ -56,6 +57,7 @@ class CandidateWatch:
         types: Mapping[str, BridgeType],
         clock: Clock,
     ) -> None:
+        self._records = LimitedLog(_log)
         self._revisions = revisions
         self._driver = driver
         self._types = types
@@ -125,8 +127,8 @@ class CandidateWatch:
                     self._round(base)
             except UoarmError as error:
                 _log.warning("looking for candidates failed: %s", error)
-            except Exception:  # noqa: BLE001 - the next round may do better
-                _log.exception("looking for candidates failed")
+            except Exception as error:  # noqa: BLE001 - the next round may do better
+                self._records.write(logging.ERROR, "looking for candidates failed", error)
             has_all = self._has_all(base)
             with self._changed:
                 pause = self._rounds.ended(

@@ -6,6 +6,7 @@ import logging
 import math
 import re
 import socket
+import sys
 import threading
 import time
 from collections.abc import Iterable
@@ -17,6 +18,7 @@ from xml.parsers.expat import ExpatError, ParserCreate
 from xmlrpc.client import Fault, dumps
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
+from uoarm._raised import text_of
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, ListenError
 from uoarm.model import Endpoint, to_json, write_json
@@ -180,7 +182,7 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log what went wrong with a connection; the standard library prints a traceback."""
         del request, client_address
-        _log.debug("XML-RPC: a connection broke", exc_info=True)
+        _log.debug("XML-RPC: a connection broke: %s", text_of(sys.exc_info()[1] or OSError()))
 
     def _marshaled_dispatch(self, data: Any, dispatch_method: Any = None, path: Any = None) -> Any:
         """Answer the octets of a request; a document type declaration, as of bombs, is refused."""

@@ -15,7 +15,7 @@ from typing import TypeAlias, TypeVar
 
 from attrs import define, evolve, field
 
-from uoarm._raised import sentence_of, writable
+from uoarm._raised import LimitedLog, sentence_of
 from uoarm._resolve._catalogue import StructureCache, Unavailable
 from uoarm._support import deadlines
 from uoarm._support.workers import WorkerPool
@@ -94,6 +94,7 @@ class Discovery:
     """
 
     def __init__(self, get: Callable[[str], Bridge], kept: int = 0) -> None:
+        self._records = LimitedLog(_log)
         self._get = get
         self._kept = kept
         self.is_whole = True
@@ -192,7 +193,7 @@ class Discovery:
             question.missed = 0
             return
         if not isinstance(error, UoarmError):
-            _log.error("discovery failed", exc_info=writable(error))
+            self._records.write(logging.ERROR, "discovery failed", error)
         question.missed += 1
         if isinstance(question.answer, UoarmError | None) or question.missed > self._kept:
             error_code = error.error_code if isinstance(error, UoarmError) else "UOA-409"

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 from attrs import define, field, frozen
 
-from uoarm._raised import contained, writable
+from uoarm._raised import LimitedLog, contained
 from uoarm._support.process_tuning import fit_switch_interval
 from uoarm.errors import UoarmError
 
@@ -75,6 +75,7 @@ class WorkerPool:
         idle_seconds: float = _IDLE_SECONDS,
         patience: float | None = None,
     ) -> None:
+        self._records = LimitedLog(_log)
         self._name = name
         self._limit = float("inf") if limit is None else limit
         self._idle_seconds = idle_seconds
@@ -267,13 +268,14 @@ class WorkerPool:
     def _conclude(self, task: _Task[Any], result: object, error: Exception | None) -> None:
         if task.done is None:
             if error is not None and not isinstance(error, WorkerPoolClosedError):
-                shown = writable(error)
-                _log.error("a call in a thread of %s failed", self._name, exc_info=shown)
+                text = f"a call in a thread of {self._name} failed"
+                self._records.write(logging.ERROR, text, error)
             return
         try:
             task.done(result, error)
-        except BaseException:  # noqa: BLE001 - whatever it is, the thread goes on
-            _log.exception("the callback of a call in a thread of %s failed", self._name)
+        except BaseException as raised:  # noqa: BLE001 - whatever it is, the thread goes on
+            text = f"the callback of a call in a thread of {self._name} failed"
+            self._records.write(logging.ERROR, text, raised)
 
 
 @frozen

@@ -11,7 +11,7 @@ from functools import partial
 from typing import TypeVar, final
 
 from uoarm._forks import generation
-from uoarm._raised import foreign
+from uoarm._raised import LimitedLog, foreign
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import Delivery, Gate, translated
@@ -549,7 +549,8 @@ def _put_away(
         channel._gate = gate  # noqa: SLF001 - its one owner
     try:
         channel.close()
-    except BridgeError:
-        _log.warning("a channel that came too late could not be closed", exc_info=True)
+    except BridgeError as error:
+        text = "a channel that came too late could not be closed"
+        LimitedLog(_log).write(logging.WARNING, text, error)
     if on_late is not None:
         on_late(channel)

@@ -20,6 +20,7 @@ import click
 
 from uoarm import RobotManager
 from uoarm._forks import default_in_children
+from uoarm._raised import LimitedLog
 from uoarm._support.files import stamp_of, user_folder
 from uoarm._support.yaml import write_flow
 from uoarm._version import __version__
@@ -379,8 +380,8 @@ def _reload(manager: RobotManager) -> bool:
         change = manager.reload()
     except UoarmError as error:
         echo(f"the configuration stays as it is: {error}", err=True)
-    except Exception:  # noqa: BLE001 - the next reload may do better
-        _log.exception("reloading the configuration failed")
+    except Exception as error:  # noqa: BLE001 - the next reload may do better
+        LimitedLog(_log).write(logging.ERROR, "reloading the configuration failed", error)
     else:
         echo(str(change), err=True)
         return True

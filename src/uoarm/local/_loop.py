@@ -11,7 +11,7 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from uoarm._raised import contained, writable
+from uoarm._raised import LimitedLog, contained
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 if TYPE_CHECKING:
@@ -105,11 +105,13 @@ def _work(loop: asyncio.AbstractEventLoop) -> None:
 
 def _run_until_stopped(loop: asyncio.AbstractEventLoop) -> None:
     """Run a loop until `stop`, whatever the tasks raise that components have left in it."""
+    records = LimitedLog(_log)
     while True:
         try:
             loop.run_forever()
         except BaseException as error:  # noqa: BLE001 - the loop serves other components, too
-            _log.error("a task that a component left behind raised", exc_info=writable(error))
+            text = "a task that a component left behind raised"
+            records.write(logging.ERROR, text, error)
         else:
             return
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm._raised import LimitedLog
 from uoarm.bridge import (
     Bridge,
     BridgeType,
@@ -397,12 +398,13 @@ class _DiagnosticsSource(Source):
         self._thread.start()
 
     def _run(self) -> None:
-        due = time.monotonic()
+        due, records = time.monotonic(), LimitedLog(_log)
         while not self._over.is_set():
             try:
                 self._deliver(self._diagnostics.message(self._status(), time.time_ns()))
-            except Exception:  # noqa: BLE001 - the next one may be better
-                _log.exception("%s: reading the manager's status failed", self.endpoint)
+            except Exception as error:  # noqa: BLE001 - the next one may be better
+                text = f"{self.endpoint}: reading the manager's status failed"
+                records.write(logging.ERROR, text, error)
             due = max(due + self._period, time.monotonic())
             self._over.wait(due - time.monotonic())
 

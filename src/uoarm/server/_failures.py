@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from typing import TypeAlias
 
 from uoarm import errors
+from uoarm._raised import LimitedLog
 from uoarm.server.access import DeniedError
 
 _log = logging.getLogger("uoarm.server")
+_records = LimitedLog(_log, burst=16)
 
 
 class BusyError(errors.UoarmError):
@@ -80,7 +82,7 @@ def error_text(error: BaseException) -> str:
     """Return an error's text; of an unforeseen one, log it and say no more than that."""
     if isinstance(error, errors.UoarmError):
         return str(error)
-    _log.error("the server failed", exc_info=error)
+    _records.write(logging.ERROR, "the server failed", error)
     return "the server failed; its log says more"
 
 

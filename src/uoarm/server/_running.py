@@ -24,7 +24,7 @@ from typing import Any
 from uoarm._arguments import arguments
 from uoarm._control import RobotManager
 from uoarm._forks import at_exit, default_in_children
-from uoarm._raised import ContainedError, foreign
+from uoarm._raised import ContainedError, LimitedLog, foreign
 from uoarm._support.aio_deadlines import result_within
 from uoarm._support.process_tuning import keep_memory, short_switch_interval
 from uoarm.errors import UsageError
@@ -279,13 +279,15 @@ def _run_loop(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, None]) 
     """
     task = loop.create_task(work)
     try:
+        records = LimitedLog(_log)
         while not task.done():
             try:
                 foreign(loop.run_until_complete, task)
-            except ContainedError:
+            except ContainedError as error:
                 if task.done():
                     raise
-                _log.exception("a task that a front end left behind raised")
+                text = "a task that a front end left behind raised"
+                records.write(logging.ERROR, text, error)
     finally:
         left = asyncio.all_tasks(loop)
         for task in left:

@@ -15,7 +15,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import CloseCode
 
 from uoarm._control import RobotManager
-from uoarm._raised import foreign
+from uoarm._raised import LimitedLog, foreign
 from uoarm._support.process_tuning import give_memory_back
 from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError, ListenError, UsageError
@@ -75,6 +75,7 @@ class Server:
         settings: ServerOptions,
         front_ends: Iterable[FrontEnd] | None = None,
     ) -> None:
+        self._records = LimitedLog(_log)
         settings.check()
         self._front_ends = FrontEnds(front_ends)
         for problem in self._front_ends.problems:
@@ -238,7 +239,8 @@ class Server:
             except Exception as error:
                 if front_end.name in self._settings.front_end_ports:
                     raise ConfigurationError(f"{front_end}: {error}") from error
-                _log.exception("%s did not start, and is left out", front_end)
+                text = f"{front_end} did not start, and is left out"
+                LimitedLog(_log).write(logging.ERROR, text, error)
                 self._front_ends.drop(front_end.name, "it did not start")
 
     async def _listen(
@@ -325,10 +327,11 @@ class Server:
         host = host_of(socket)
         try:
             session = foreign(self._session, client, registry, socket, entry.front_end)
-        except Exception:  # noqa: BLE001 - a front end may raise anything
+        except Exception as error:  # noqa: BLE001 - a front end may raise anything
             client.account.close()
             who = entry.front_end or "the native protocol"
-            _log.exception("%s made no session for client %s", who, client.identity)
+            text = f"{who} made no session for client {client.identity}"
+            self._records.write(logging.ERROR, text, error)
             await socket.close(CloseCode.INTERNAL_ERROR, "the server failed")
             return
         self._connected.take(host)
@@ -350,8 +353,9 @@ class Server:
         self._clients[client] = None
         try:
             await client.run(session, socket, self.backend.mailbox.soon)
-        except Exception:  # noqa: BLE001 - a front end may raise anything
-            _log.exception("%s failed for client %s", _module_of(session), client.identity)
+        except Exception as error:  # noqa: BLE001 - a front end may raise anything
+            text = f"{_module_of(session)} failed for client {client.identity}"
+            self._records.write(logging.ERROR, text, error)
             await socket.close(CloseCode.INTERNAL_ERROR, "the server failed")
         finally:
             del self._clients[client]
@@ -363,8 +367,9 @@ class Server:
     def _end(self, client: ConnectedClient, session: Session) -> None:
         try:
             foreign(session.close)
-        except Exception:  # noqa: BLE001 - a front end may raise anything
-            _log.exception("%s failed when it was closed", _module_of(session))
+        except Exception as error:  # noqa: BLE001 - a front end may raise anything
+            text = f"{_module_of(session)} failed when it was closed"
+            self._records.write(logging.ERROR, text, error)
         client.account.close()
         self._totals.add(client)
         self._audit.departure(client.identity)
@@ -415,7 +420,8 @@ class Server:
 def _take_end(front_end: FrontEnd, serving: asyncio.Task[None]) -> None:
     """Log that a front end serves no more, which it does until it is cancelled."""
     if not serving.cancelled():
-        _log.error("%s has ended", front_end, exc_info=serving.exception())
+        text = f"{front_end} has ended"
+        LimitedLog(_log).write(logging.ERROR, text, serving.exception())
 
 
 def _module_of(session: Session) -> str:
@@ -425,12 +431,13 @@ def _module_of(session: Session) -> str:
 
 async def _repeat(action: Callable[[], Awaitable[None]], what: str) -> None:
     """Do something again and again; it must outlive whatever goes wrong once."""
+    records = LimitedLog(_log)
     while True:
         await asyncio.sleep(_GLANCE_SECONDS)
         try:
             await action()
-        except Exception:  # noqa: BLE001 - as said above
-            _log.exception("%s failed; it is tried again", what)
+        except Exception as error:  # noqa: BLE001 - as said above
+            records.write(logging.ERROR, f"{what} failed; it is tried again", error)
 
 
 async def _all_within(seconds: float, steps: list[Coroutine[Any, Any, None]]) -> None:

@@ -34,10 +34,11 @@ from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.live.revisions import Revisions, StagedRevision
 from uoarm._dataplane import Clock
+from uoarm._encodable import shown
 from uoarm._forks import generation
 from uoarm._interrupts import Uninterrupted
 from uoarm._parts import Functions
-from uoarm._raised import foreign, sentence_of
+from uoarm._raised import LimitedLog, foreign, sentence_of
 from uoarm._resolve import keep_candidates
 from uoarm._safety import EmergencyStop
 from uoarm._spans import current, span
@@ -57,6 +58,9 @@ _FIRST_SHARE = 0.5
 _AGAIN_SECONDS = 0.5
 _log = logging.getLogger("uoarm")
 _log_of_events = logging.getLogger("uoarm.control")
+
+
+_SHOWN = 500  # characters of what failed
 
 
 class Driver:
@@ -85,6 +89,7 @@ class Driver:
         emergency_stop: EmergencyStop,
         functions: Functions,
     ) -> None:
+        self._records = LimitedLog(_log)
         self._process = generation()
         robot = revisions.current.robot
         self.state = State(robot.failover, _bridges_of(robot.components()))
@@ -340,8 +345,8 @@ class Driver:
             _log_of_events.debug("%s", write_event(event, now))
         try:
             state, actions = step(self.state, event, now)
-        except Exception:  # noqa: BLE001 - its caller must not pay for a fault of ours
-            _log.exception("the control plane failed at %r", event)
+        except Exception as error:  # noqa: BLE001 - its caller must not pay for a fault of ours
+            self._log_failure(f"the control plane failed at {shown(event, _SHOWN)}", error)
             return
         # Before the actions: a thread that an action wakes finds the state from which it follows.
         before, self.state = self.state, state
@@ -355,8 +360,11 @@ class Driver:
         for action in actions:
             try:
                 self._perform(action)
-            except Exception:  # noqa: BLE001 - nor do the actions that come after it
-                _log.exception("the control plane failed to do %r", action)
+            except Exception as error:  # noqa: BLE001 - nor do the actions that come after it
+                self._log_failure(f"the control plane failed to do {shown(action, _SHOWN)}", error)
+
+    def _log_failure(self, text: str, error: BaseException) -> None:
+        self._records.write(logging.ERROR, text, error)
 
     def _perform(self, action: act.Action) -> None:  # noqa: C901, PLR0912, PLR0915 - a case for each
         """Do an action, or have it done in its lane. Waits for nothing, and calls nothing foreign.
@@ -456,8 +464,8 @@ class Driver:
     ) -> None:
         try:
             event = foreign(call) or after
-        except Exception:  # noqa: BLE001 - the lane must go on
-            _log.exception("the control plane failed to do %r", action)
+        except Exception as error:  # noqa: BLE001 - the lane must go on
+            self._log_failure(f"the control plane failed to do {shown(action, _SHOWN)}", error)
             event = after
         # In the lane's thread, which owns the state then if no other does: no event needs one of
         # its own.
@@ -574,7 +582,7 @@ class Driver:
             deadlines.run(step_name, _OPEN_SECONDS, partial(self.live.switch_inputs, action.edges))
         except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
             if not isinstance(error, UoarmError):
-                _log.exception("changing over failed")
+                self._log_failure("changing over failed", error)
             return ev.InputsSwitched(action.switchover, str(error))
         return ev.InputsSwitched(action.switchover)
 

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from queue import SimpleQueue
 
 from uoarm._dataplane import Clock
-from uoarm._raised import LimitedLog, foreign, writable
+from uoarm._encodable import shown
+from uoarm._raised import LimitedLog, foreign
 from uoarm._support.ordered import keep_newest
 from uoarm.model import StatusEvent
 
@@ -40,6 +41,7 @@ class EventDispatcher:
         self._thread: threading.Thread | None = None
         self._is_closed = False
         self._records: dict[str, LimitedLog] = {}
+        self._failures = LimitedLog(_log)
 
     def post(self, subject: str, change: str, cause: str = "", function: str = "") -> None:
         """Number one change and have the listeners called. Waits for nothing."""
@@ -127,8 +129,8 @@ class EventDispatcher:
             try:
                 foreign(listener, event)
             except Exception as error:  # noqa: BLE001 - a listener may raise anything
-                shown = writable(error)
-                _log.error("listener %r failed at event %d", listener, event.number, exc_info=shown)
+                text = f"listener {shown(listener)} failed at event {event.number}"
+                self._failures.write(logging.ERROR, text, error)
 
 
 def _without(

@@ -19,7 +19,7 @@ from uoarm._control.live.revisions import Revisions
 from uoarm._dataplane import Clock
 from uoarm._interrupts import Uninterrupted
 from uoarm._parts import Functions, OfferedFunction, offered_structures
-from uoarm._raised import sentence_of
+from uoarm._raised import LimitedLog, sentence_of
 from uoarm.bridge import HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import Health, Offer, OfferState, OfferStatus, Robot, RouteStatus, StatusEvent
@@ -47,6 +47,7 @@ class Offers:
         events: EventDispatcher,
         clock: Clock,
     ) -> None:
+        self._records = LimitedLog(_log)
         self._owner = owner
         self._revisions = revisions
         self._functions = functions
@@ -133,7 +134,7 @@ class Offers:
             opened.open()
         except Exception as error:  # noqa: BLE001 - the status shows it whatever it is
             if not isinstance(error, UoarmError):
-                _log.exception("offering %s failed", offer.name)
+                self._records.write(logging.ERROR, f"offering {offer.name} failed", error)
             self._opened.pop(action.name, None)
             cause = sentence_of(error)
             return ev.OfferOpened(action.name, action.number, cause)
@@ -154,8 +155,8 @@ class Offers:
                 for connection in found[1].connections:
                     self._behind.pop(connection, None)
                 found[1].close()
-        except Exception:  # noqa: BLE001 - it counts as closed, or it would never open again
-            _log.exception("closing offer %s failed", action.name)
+        except Exception as error:  # noqa: BLE001 - it counts as closed, or it would never open again
+            self._records.write(logging.ERROR, f"closing offer {action.name} failed", error)
         finally:
             self._working.discard(threading.get_ident())
         return ev.OfferClosed(action.name, action.number)

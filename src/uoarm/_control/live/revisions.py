@@ -21,6 +21,7 @@ from uoarm._control.engine.move import forget_earlier, recently
 from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.live.parts import StateOwner
 from uoarm._dataplane import Clock
+from uoarm._raised import LimitedLog
 from uoarm._resolve import (
     Hold,
     Resolver,
@@ -54,6 +55,7 @@ from uoarm.model import (
 )
 
 _log = logging.getLogger("uoarm")
+_records = LimitedLog(_log)
 
 _KEPT = 100
 _LEAST = 2  # the one in force, and the one to go back to
@@ -163,7 +165,7 @@ class Revision:
             )
         except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
             if not isinstance(error, UoarmError):
-                _log.exception("looking for a replacement failed")
+                _records.write(logging.ERROR, "looking for a replacement failed", error)
             return ev.ReplacementSought(*asked, None, str(error), group)
         return ev.ReplacementSought(*asked, plan, "", group, self.candidates)
 
@@ -175,7 +177,7 @@ class Revision:
             found = self.resolve(action.plan.function, avoided=action.avoided).names
         except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
             if not isinstance(error, UoarmError):
-                _log.exception("looking for a preferred plan failed")
+                _records.write(logging.ERROR, "looking for a preferred plan failed", error)
             found = ()
         return ev.PreferredChecked(action.connection, found == wanted)
 

@@ -17,7 +17,7 @@ from queue import Empty, SimpleQueue
 
 from uoarm._host.transport.codec import Frame
 from uoarm._host.transport.frames import FrameReader, FrameWriter, Received
-from uoarm._raised import foreign
+from uoarm._raised import LimitedLog, foreign
 from uoarm.errors import BridgeTimeoutError
 
 Take = Callable[[Frame, bytes], object]
@@ -49,6 +49,7 @@ class FlowSubscription:
     """
 
     def __init__(self, take: Take, length: int, name: str) -> None:
+        self._records = LimitedLog(_log)
         self._consume = take
         self._length = length
         self._name = name
@@ -87,8 +88,8 @@ class FlowSubscription:
         begun = time.monotonic()
         try:
             foreign(self._consume, payload, header)
-        except Exception:  # noqa: BLE001 - the thread must go on
-            _log.exception("what came over the link could not be taken")
+        except Exception as error:  # noqa: BLE001 - the thread must go on
+            self._records.write(logging.ERROR, "what came over the link could not be taken", error)
         if len(payload) <= _FAST_OCTETS and time.monotonic() - begun < _QUICK_SECONDS:
             self._credit = min(_CREDIT, self._credit + 1)
         else:

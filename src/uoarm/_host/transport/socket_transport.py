@@ -28,6 +28,7 @@ from uoarm._host.transport.transport import (
     answer_to,
     read_answer,
 )
+from uoarm._raised import LimitedLog
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
 _ASK, _ANSWER, _NOTIFY, _TOKEN = range(4)
@@ -47,6 +48,7 @@ class SocketTransport(Transport):
     """
 
     def __init__(self, sockets: LinkSockets, name: str = "manager") -> None:
+        self._records = LimitedLog(_log)
         super().__init__()
         self._reader = FrameReader(sockets.requests)
         self._writer = FrameWriter(sockets.requests)
@@ -209,8 +211,9 @@ class SocketTransport(Transport):
             while (frame := self._reader.read()) is not None:
                 try:
                     self._take(frame)
-                except Exception:  # noqa: BLE001 - the thread must go on
-                    _log.exception("what came over the link could not be taken")
+                except Exception as error:  # noqa: BLE001 - the thread must go on
+                    text = "what came over the link could not be taken"
+                    self._records.write(logging.ERROR, text, error)
         except Exception as error:  # noqa: BLE001 - such as no memory for a long frame
             _log.warning("a link ended: %s: %s", type(error).__name__, error)
         finally:

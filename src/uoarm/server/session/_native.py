@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from uoarm._control import Connection
+from uoarm._raised import LimitedLog
 from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
 from uoarm._wire import Form, check_asked, salvage_id, write_or_error
@@ -75,6 +76,7 @@ class Shared:
         status: the status map.
         recordings: that are written, and that are played.
         sessions: that are open; only in the loop's thread.
+        records: of what was not foreseen.
     """
 
     def __init__(self, registry: FeedRegistry, folder: Path) -> None:
@@ -83,6 +85,7 @@ class Shared:
         self.status = StatusViews(robot.status, registry.past, views)
         self.recordings = RecordingRequests(registry, folder)
         self.sessions: dict[NativeSession, None] = {}
+        self.records = LimitedLog(_log)
 
 
 class NativeSession:
@@ -172,7 +175,8 @@ class NativeSession:
             asked = check_asked(fields)
         except Exception as error:  # noqa: BLE001 - every message gets its answer
             if not isinstance(error, ControlMessageError):
-                _log.exception("a message of client %s", self._client.identity)
+                text = f"a message of client {self._client.identity}"
+                self._shared.records.write(logging.ERROR, text, error)
             failure = without_frames(error)
             return functools.partial(self._fail, salvage_id(fields), "", failure), 0
         return functools.partial(self._handle, asked), message_octets(asked.jsonMessage)
@@ -527,8 +531,8 @@ class NativeSession:
 
     def _failed(self, asked: ControlMessage, error: BaseException) -> None:
         if not isinstance(error, UoarmError):
-            text = "%s of client %s failed"
-            _log.error(text, asked.op.value, self._client.identity, exc_info=error)
+            text = f"{asked.op.value} of client {self._client.identity} failed"
+            self._shared.records.write(logging.ERROR, text, error)
         more: dict[str, Any] = {}
         if asked.op is Op.RESOLVE and isinstance(error, NoPlanError):
             more["rejected"] = self._view.data(to_json(error.rejections), str(asked.type))

@@ -16,7 +16,7 @@ from attrs import define, field, frozen
 
 from uoarm._control import Connection
 from uoarm._dataplane import Clock, Outlet
-from uoarm._raised import contained, foreign
+from uoarm._raised import LimitedLog, contained, foreign
 from uoarm._wire import is_octets
 from uoarm.errors import MessageError
 from uoarm.model import Message, ValidationMode, message_octets
@@ -264,6 +264,7 @@ class Feed:
         encoder: Encoder,
         clock: Clock = time.monotonic,
     ) -> None:
+        self._records = LimitedLog(_log)
         self.encoder = encoder
         self._mailbox = mailbox
         self._limits = limits
@@ -395,7 +396,7 @@ class Feed:
         # A client that joins after the end gets the end, in this call: no other call follows.
         if self._is_done:
             assert self.end is not None, "only what has ended is done"
-            _end(listener, *self.end)
+            self._end(listener, *self.end)
         elif self.end is not None:
             self._hand_all()
         elif self._waiting:
@@ -450,7 +451,7 @@ class Feed:
         # there.
         self._is_done = True
         for listener in tuple(self._listeners):
-            _end(listener, *self.end)
+            self._end(listener, *self.end)
 
     def _can_hand(self) -> bool:
         return bool(self._waiting and self._listeners) and not self.is_writing
@@ -526,7 +527,7 @@ class Feed:
             # As `foreign`, without its call for each message and listener.
             except BaseException as error:  # noqa: BLE001 - a listener may raise anything
                 contained(error)
-                self._drop(listener)
+                self._drop(listener, error)
 
     def _prepared(
         self, listener: Listener, prepare: Prepare, envelope: Envelope
@@ -535,14 +536,23 @@ class Feed:
             return prepare(envelope)
         except BaseException as error:  # noqa: BLE001 - a listener may raise anything
             contained(error)
-            self._drop(listener)
+            self._drop(listener, error)
             return None
 
-    def _drop(self, listener: Listener) -> None:
+    def _drop(self, listener: Listener, error: BaseException) -> None:
         """Hand a listener that fails nothing more, so that the others go on."""
-        _log.exception("a listener of %s failed", _module_of(listener))
+        self._log_failure(listener, error)
         self._listeners.pop(listener, None)
-        _end(listener, "failed", "the server failed; its log says more")
+        self._end(listener, "failed", "the server failed; its log says more")
+
+    def _end(self, listener: Listener, state: str, cause: str) -> None:
+        try:
+            foreign(listener.ended, state, cause)
+        except Exception as error:  # noqa: BLE001 - a listener of a front end may raise anything
+            self._log_failure(listener, error)
+
+    def _log_failure(self, listener: Listener, error: BaseException) -> None:
+        self._records.write(logging.ERROR, f"a listener of {_module_of(listener)} failed", error)
 
 
 def _of_those(
@@ -559,13 +569,6 @@ def _of_those(
         (numbers[id(item)].pop(), item) for item in reversed(standing) if numbers.get(id(item))
     ]
     return found[::-1]
-
-
-def _end(listener: Listener, state: str, cause: str) -> None:
-    try:
-        foreign(listener.ended, state, cause)
-    except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
-        _log.exception("a listener of %s failed", _module_of(listener))
 
 
 def _module_of(listener: Listener) -> str:

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, TypeVar
 from attrs import evolve
 
 from uoarm._control import Connection, RobotManager
-from uoarm._raised import foreign
+from uoarm._raised import LimitedLog, foreign
 from uoarm._wire import TEXT_FORM, Form
 from uoarm.config import loads
 from uoarm.errors import (
@@ -113,6 +113,7 @@ class FeedRegistry:
     """
 
     def __init__(self, robot: RobotManager, limits: Limits) -> None:
+        self._records = LimitedLog(_log)
         self.robot = robot
         self.limits = limits
         self.memory = ServerMemory(limits.total_memory_bytes, limits.memory_bytes)
@@ -529,8 +530,9 @@ class FeedRegistry:
         for watcher in tuple(self._watchers):
             try:
                 foreign(watcher, announcement)
-            except Exception:  # noqa: BLE001 - that of a front end may raise anything
-                _log.exception("a watcher of %s failed", watcher.__module__)
+            except Exception as error:  # noqa: BLE001 - that of a front end may raise anything
+                text = f"a watcher of {watcher.__module__} failed"
+                self._records.write(logging.ERROR, text, error)
 
     def _ended(self, feed: Feed) -> None:
         assert feed.connection is not None, "only an opened feed can end"

@@ -14,7 +14,7 @@ from attrs import define
 
 from uoarm._control import Connection
 from uoarm._dataplane import make_check
-from uoarm._raised import foreign
+from uoarm._raised import LimitedLog, foreign
 from uoarm._wire import Form
 from uoarm.bridge import boot_seconds
 from uoarm.errors import CommandRefusedError, ConnectionClosedError, MessageError, UsageError
@@ -98,6 +98,7 @@ class InputSender:
         limit: int,
         holder: LeaseHolder | None = None,
     ) -> None:
+        self._records = LimitedLog(_log)
         self._connection = connection
         self._read = read
         self._workers = workers
@@ -205,13 +206,13 @@ class InputSender:
         # First: the worker looks at it before each message, and hands over nothing more.
         self._closed = True
         while self._stops:
-            _conclude(self._stops.popleft()[1], self._has_ended())
+            self._conclude(self._stops.popleft()[1], self._has_ended())
         if self._has_lease():
             self._workers.stop(lambda: self._connection.leave(self._holder))
         while self._waiting:
             queued = self._waiting.popleft()
             queued.charge.release()
-            _conclude(queued.done, self._has_ended())
+            self._conclude(queued.done, self._has_ended())
 
     def structure(self, port: str | None) -> MessageStructure:
         """Return the structure of an input; None stands for the only one.
@@ -277,8 +278,16 @@ class InputSender:
             batch.append(queued)
         return batch
 
+    def _conclude(self, done: Done, outcome: BaseException | None) -> None:
+        """Say how it went; one of a front end that raises holds up nothing that comes after it."""
+        try:
+            foreign(done, outcome)
+        except Exception as error:  # noqa: BLE001 - it may raise anything
+            text = "what a front end does after a message was sent failed"
+            self._records.write(logging.ERROR, text, error)
+
     def _stopped(self, done: Done, outcome: BaseException | None) -> None:
-        _conclude(done, outcome)
+        self._conclude(done, outcome)
         self._go_on()
 
     def _stopped_beside(self) -> None:
@@ -302,7 +311,7 @@ class InputSender:
         self._handing = []
         for queued, outcome in zip(batch, outcomes, strict=True):
             queued.charge.release()
-            _conclude(queued.done, outcome)
+            self._conclude(queued.done, outcome)
         self._go_on()
 
     def _go_on(self) -> None:
@@ -335,14 +344,6 @@ class InputSender:
         except Exception as error:  # noqa: BLE001 - reported to the one who sent it
             return error
         return None
-
-
-def _conclude(done: Done, outcome: BaseException | None) -> None:
-    """Say how it went; one of a front end that raises holds up nothing that comes after it."""
-    try:
-        foreign(done, outcome)
-    except Exception:  # noqa: BLE001 - it may raise anything
-        _log.exception("what a front end does after a message was sent failed")
 
 
 def check_message(structure: MessageStructure, message: Message, read: Read, place: str) -> Message:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Hashable, Mapping
 from contextlib import suppress
 from typing import Any, TypeAlias, TypeVar
 
-from uoarm._raised import contained
+from uoarm._raised import LimitedLog, contained
 from uoarm._support import deadlines
 from uoarm._support.workers import WorkerPool
 from uoarm.server._failures import BusyError
@@ -87,6 +87,7 @@ class LoopMailbox:
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._records = LimitedLog(_log)
         self._loop = loop
         self._actions: deque[Callable[[], None]] = deque()
         self._woken = False
@@ -173,7 +174,7 @@ class LoopMailbox:
         # As `foreign`, without its call. Those after it must not wait for the next wake-up.
         except BaseException as error:  # noqa: BLE001 - a session of a front end may be in it
             contained(error)
-            _log.exception("an action in the server's loop failed")
+            self._records.write(logging.ERROR, "an action in the server's loop failed", error)
 
 
 T = TypeVar("T")
