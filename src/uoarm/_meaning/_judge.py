@@ -66,7 +66,7 @@ ITEMS = "[]"
 _MOST_PAIRS = 50_000
 _MOST_DEPTH = 100
 _MOST_VIEWS = 32
-_MOST_TOLD = 200
+_MOST_LISTED = 200
 _MOST_SHOWN = 8
 _NUMBERS = frozenset({"number", "integer"})
 # How exact the factor of a map must be: what people write, 57.3 or 0.01745, will do.
@@ -133,9 +133,9 @@ def judge(producer: Any, consumer: Any, alike: tuple[frozenset[str], ...] = ()) 
     else:
         walk.compare(producer, consumer, (), _NOTHING, _NOTHING, False, found)
     return Meanings(
-        tuple(found.differences)[:_MOST_TOLD],
-        tuple(found.unstated)[:_MOST_TOLD],
-        tuple(found.notes)[:_MOST_TOLD],
+        tuple(found.differences)[:_MOST_LISTED],
+        tuple(found.unstated)[:_MOST_LISTED],
+        tuple(found.notes)[:_MOST_LISTED],
     )
 
 

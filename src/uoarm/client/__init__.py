@@ -4,8 +4,8 @@ Needs the packages of the extra `server`.
 """
 
 from uoarm.client._answers import ServerError
-from uoarm.client._client import RemoteRobot, ServerAddress, connect
-from uoarm.client._link import trust_fingerprint
+from uoarm.client._client import RemoteRobot
+from uoarm.client._connect import ServerAddress, connect, trust_fingerprint
 from uoarm.client._questions import ThreadAnswer
 from uoarm.client._stream import RemoteStream
 

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
-from functools import partial
-from types import MappingProxyType
 from typing import Any, TypeAlias, final, overload
 
-from attrs import field, fields_dict, frozen
+from attrs import fields_dict, frozen
 from typing_extensions import Self
 
 from uoarm import errors
 from uoarm._arguments import arguments
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._support.aio_deadlines import result_within
-from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
+from uoarm._wire import Form
 from uoarm.bridge import boot_seconds
 from uoarm.client._answers import NOTICES, checked, checked_answer, error_of, merged_status
-from uoarm.client._link import LARGEST, Link, Open
+from uoarm.client._link import Link, Open
 from uoarm.client._questions import ServerQuestions, ThreadAnswer
-from uoarm.client._socket import ClientSocket
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, find_trouble
 
@@ -42,98 +38,6 @@ class _PendingRequest:
     fields: Mapping[str, Any]
     answer: asyncio.Future[Any] | ThreadAnswer
     renewed: RemoteStream[Any] | None = None
-
-
-@frozen
-class ServerAddress:
-    """Where a server is, and how it is greeted.
-
-    Attributes:
-        url: `ws://` or `wss://`.
-        token: shown in the handshake; None: none is.
-        tls: for `wss://`, where the system's authorities do not do; or what returns it for each
-            attempt to connect.
-        timeout: seconds for connecting.
-        silence: seconds without a sign of life after which the connection counts as dropped.
-        headers: further ones of the handshake.
-        answer: seconds after which an answer comes no more, beyond those that the question gives
-            it: the `timeout` of a call, the `wait` of a request.
-    """
-
-    url: str
-    token: str | None = field(default=None, repr=False)
-    tls: ssl.SSLContext | Callable[[], ssl.SSLContext] | None = None
-    timeout: float = 10.0
-    silence: float = 20.0
-    headers: Mapping[str, str] = MappingProxyType({})
-    answer: float = 120.0
-
-    def robot(
-        self,
-        *,
-        binary: bool = True,
-        reconnect: float = 0.0,
-        on_link: Callable[[str], object] = str,
-    ) -> RemoteRobot:
-        """Return what connects there for the length of `async with robot.running(resume=True)`.
-
-        Args:
-            binary: CBOR; False: JSON.
-            reconnect: as of `connect`.
-            on_link: called in the loop with why the connection dropped, at once, and with "" when
-                messages pass again.
-        """
-        form = BINARY_FORM if binary else TEXT_FORM
-        return RemoteRobot(partial(self._open, form), form, reconnect, on_link, self.answer)
-
-    async def _open(self, form: Form) -> ClientSocket:
-        headers = dict(self.headers)
-        if self.token is not None:
-            headers["Authorization"] = f"Bearer {self.token}"
-        limits = {"timeout": self.timeout, "silence": self.silence}
-        tls = self.tls() if callable(self.tls) else self.tls
-        return await ClientSocket.open(self.url, form, headers, tls, LARGEST.octets, **limits)
-
-
-@arguments()
-@asynccontextmanager
-async def connect(
-    url: str,
-    *,
-    token: str | None = None,
-    binary: bool = True,
-    tls: ssl.SSLContext | None = None,
-    timeout: float = 10.0,
-    resume: bool = True,
-    reconnect: float = 60.0,
-    answer: float = 120.0,
-) -> AsyncIterator[RemoteRobot]:
-    """Connect to a server for the length of a block.
-
-    Args:
-        url: `ws://` or `wss://`.
-        token: shown in the handshake.
-        binary: CBOR, where octets stay octets; False: JSON.
-        tls: for `wss://`, where the system's authorities do not do: `trust_fingerprint` makes one
-            for a certificate that the server made itself.
-        timeout: seconds for connecting.
-        resume: whether to connect again after a drop and go on with the same session, as long as
-            the server keeps it; what was lost meanwhile is in `RemoteStream.lost`.
-        reconnect: seconds for which it is tried to begin a new session where that one is gone, as
-            after a restart of the server, and to open what was open; `RemoteStream.gaps` counts
-            it. What waited for an answer fails; no command is repeated. 0: everything fails.
-        answer: seconds after which an answer comes no more, beyond those that the question gives
-            it: the `timeout` of a call, the `wait` of a request.
-
-    Raises:
-        OSError: no server listens there.
-        ssl.SSLCertVerificationError: the server's certificate is not trusted.
-        TimeoutError: it took too long.
-        websockets.exceptions.InvalidHandshake: the server refused, for example without a token.
-    """
-    server = ServerAddress(url, token, tls, timeout, answer=answer)
-    async with server.robot(binary=binary, reconnect=reconnect).running(resume=resume) as robot:
-        yield robot
 
 
 @final

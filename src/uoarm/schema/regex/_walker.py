@@ -27,7 +27,7 @@ _MAX_WALKED = 100_000
 _MAX_KEPT = 200_000
 """Threads that one walker, and all that are kept, remember, of some 200 octets each."""
 
-_TOLD = 16
+_CHARGED_AFTER = 16
 """Characters after which the budget is charged: of 64 known ones, or of 8 threads, as one step."""
 
 Duty: TypeAlias = "tuple[bool, int, WalkState]"
@@ -252,7 +252,7 @@ def found_in(pattern: str, text: str, spend: Callable[[int], None] = lambda _: N
     walker = walker_of(pattern)
     state, work = walker.start, walker.work
     at, end = 0, len(text)
-    followed, left, cost = work[0], _TOLD, 0
+    followed, left, cost = work[0], _CHARGED_AFTER, 0
     while at < end:
         char = text[at]
         after = walker.step(state, ord(char))
@@ -262,9 +262,9 @@ def found_in(pattern: str, text: str, spend: Callable[[int], None] = lambda _: N
         state = after
         left -= 1
         if not left:
-            cost += _TOLD + 8 * (work[0] - followed)
+            cost += _CHARGED_AFTER + 8 * (work[0] - followed)
             spend(cost // 64)
-            followed, left, cost = work[0], _TOLD, cost % 64
+            followed, left, cost = work[0], _CHARGED_AFTER, cost % 64
     return walker.accepts(state)
 
 
