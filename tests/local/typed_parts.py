@@ -8,13 +8,16 @@ import typing
 from collections.abc import AsyncIterator, Iterable, Iterator
 from dataclasses import InitVar, dataclass
 from enum import Enum
-from typing import Annotated, Any, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypedDict
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from uoarm.local import Emit, Octets, Range, Shape
+
+if TYPE_CHECKING:
+    from decimal import Decimal as Absent
 
 
 class Mode(Enum):
@@ -289,6 +292,23 @@ def seeded(message: Seeded) -> Number:
 
 def seed_within(message: Number, seeds: list[Seeded]) -> Number:
     return {"value": message["value"] + len(seeds)}
+
+
+@dataclass
+class Holder:
+    value: Absent
+
+
+def takes_absent(message: Holder) -> Number:
+    return {"value": int(message.value)}
+
+
+def absent(message: Absent) -> Number:
+    return {"value": int(message)}
+
+
+def given_absent(message: Number, more: Holder) -> Number:
+    return {"value": message["value"] + int(more.value)}
 
 
 def gives_either() -> Iterator[Count | Twin]:

@@ -177,6 +177,8 @@ def _write_of(kind: type) -> Callable[[Any], Message] | None:
 def _compiled(hint: Any, place: str, get_hook: Callable[[Any], Any]) -> Any:
     try:
         return get_hook(_convertible(hint))
+    except HintError as error:
+        raise HintError(f"{place}: {error}") from error
     except Exception as error:
         text = f"{place}: the type hint {hint!r} cannot be converted: {error}"
         raise HintError(text) from error

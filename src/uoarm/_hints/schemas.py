@@ -34,6 +34,7 @@ from uoarm._hints.arrays import (
     scalar_of,
     unwrapped,
 )
+from uoarm._raised import text_of
 
 _OCTET_ARRAY: Mapping[str, object] = {
     "type": "array",
@@ -235,11 +236,29 @@ def fields_of(hint: Any) -> dict[str, tuple[Any, bool]] | None:
 
 
 def _hints_of(kind: Any) -> Mapping[str, Any]:
-    """Return the hints of a class by field; those that cannot be evaluated yet raise NameError."""
     found = _KNOWN.get(kind)
     if found is None:
-        found = _KNOWN[kind] = get_type_hints(kind, include_extras=True)
+        found = _KNOWN[kind] = read_hints(kind, f"{kind!r}: the type hints of its fields")
     return found
+
+
+def read_hints(value: Any, what: str) -> dict[str, Any]:
+    """Return the type hints of a class or a callable, by name.
+
+    Args:
+        value: the class or the callable.
+        what: they are, for the error's text.
+
+    Raises:
+        HintError: one of them cannot be evaluated, now at least.
+    """
+    try:
+        return get_type_hints(value, include_extras=True)
+    except Exception as error:
+        text = f"{what} cannot be read: {text_of(error)}"
+        if isinstance(error, NameError):
+            text += "; import what they name at run time, not under TYPE_CHECKING alone"
+        raise HintError(text) from error
 
 
 def _is_required(record: Any, name: str, hint: Any) -> bool:

@@ -18,7 +18,7 @@ from collections.abc import (
     Sequence,
 )
 from types import UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, get_args, get_origin
 
 import attrs
 from attrs import field, frozen
@@ -26,7 +26,7 @@ from attrs import field, frozen
 from uoarm._arguments import arguments
 from uoarm._hints.arrays import HintError
 from uoarm._hints.convert import reader
-from uoarm._hints.schemas import schema_of
+from uoarm._hints.schemas import read_hints, schema_of
 from uoarm._mistakes import Speller, schema_mistakes
 from uoarm._raised import foreign, text_of
 from uoarm.bridge import Description
@@ -392,18 +392,19 @@ class Target:
         """Return the hints of a callable, also of one whose class says how it is called."""
         has_own = inspect.isroutine(method) or inspect.isclass(method)
         report = method if has_own else type(method).__call__
-        if not inspect.isfunction(report):
-            return get_type_hints(report, include_extras=True)
-        found = self._hints_of.get(report)
+        is_function = inspect.isfunction(report)  # others may not be hashable, or new each time
+        found = self._hints_of.get(report) if is_function else None
         if found is None:
-            found = self._hints_of[report] = get_type_hints(report, include_extras=True)
+            found = read_hints(report, f"{self.name}: its type hints")
+            if is_function:
+                self._hints_of[report] = found
         return found
 
     def hints(self, method: Any) -> dict[str, Any]:
         """Return the hints of a callable; none where one cannot be read, for what is declared."""
         try:
             return self._type_hints(method)
-        except (NameError, TypeError, AttributeError):
+        except HintError:
             return {}
 
 
