@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tests.processes import run_python
 from tests.record.conftest import of_topic
 
 from uoarm import RobotManager
@@ -164,3 +165,14 @@ def test_options_that_mean_nothing_are_mistakes_of_the_configuration(
     with pytest.raises(ConfigurationError) as caught:
         loads(f"{ROBOT}record: {{{line}, path: x.mcap}}\n")
     assert f"$.record.{mistake}" in str(caught.value)
+
+
+@pytest.mark.parametrize("package", ["numpy", "mcap"])
+def test_without_the_extra_the_command_says_what_installs_it(tmp_path: Path, package: str) -> None:
+    """numpy, too: what reads it as it is imported must not be imported first."""
+    (tmp_path / "robot.yaml").write_text("{version: 1, bridges: {python: {}}, functions: {}}")
+    lacking = f"import sys; sys.modules[{package!r}] = None; from uoarm.cli import main; "
+    done = run_python("-c", f"{lacking}main(['record', 'a', '-o', 'run.mcap'])", cwd=tmp_path)
+    assert (done.returncode, "recordings need: pip install" in done.stderr) == (4, True), done
+    done = run_python("-c", f"{lacking}main(['doctor', '--json'])", cwd=tmp_path)
+    assert "recordings need: pip install" in json.loads(done.stdout)["recording"]["usable"]

@@ -17,7 +17,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from attrs import define, frozen
 
-from uoarm.cdr import octets_of
+from uoarm import cdr
 from uoarm.model import (
     Gap,
     Message,
@@ -168,7 +168,7 @@ class Arrivals(Generic[T]):
             ):
                 return
             if track.definition:
-                octets = octets_of(message, track.definition)
+                octets = cdr.octets_of(message, track.definition)
                 if octets is not None:
                     message = ReadOctets(octets)
             wall, steady = clock()

@@ -48,6 +48,7 @@ def require_mcap() -> None:
     """Raise PluginError, with what to do, where the packages of the extra are not here."""
     try:
         import mcap.writer  # noqa: F401, PLC0415 - an extra
+        import numpy as np  # noqa: F401, PLC0415 - as above
 
         import uoarm._wire  # noqa: F401, PLC0415 - needs the extra's packages
     except ImportError as error:

@@ -15,7 +15,6 @@ from typing import Any
 from attrs import field, frozen
 
 from uoarm import cdr
-from uoarm.cdr import RosDefinition, definition_of, deserialiser, structure_of_definition
 from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
 from uoarm.model import Budget, BudgetUse, Message, MessageStructure, read_json, write_json
 from uoarm.record._reading import FileChannel
@@ -68,7 +67,7 @@ def form_of(function: str, structure: MessageStructure, metadata: Mapping[str, s
     is_ros = _ROS_TYPE.fullmatch(structure.native_type) is not None
     if is_ros or _keeps_octets(structure.schema):
         try:
-            definition = definition_of(structure, _type_name(function))
+            definition = cdr.definition_of(structure, _type_name(function))
             encode = cdr.Codec(structure).encode
         except MessageError:
             pass  # it has no fixed layout, or names that no message file may have
@@ -102,7 +101,7 @@ def _text_writer(write: Callable[[Message], bytes]) -> Callable[[Message], bytes
 
 def _cdr_form(
     topic: str,
-    definition: RosDefinition,
+    definition: cdr.RosDefinition,
     encode: Callable[[Message], bytes],
     metadata: Mapping[str, str],
 ) -> ChannelForm:
@@ -179,8 +178,8 @@ string gap
 @lru_cache(maxsize=1)
 def ros_events() -> ChannelForm:
     """Return the channel of events in a file of ROS 2 alone, whose readers know nothing else."""
-    definition = RosDefinition("uoarm/msg/Event", _ROS_EVENT)
-    write = cdr.Codec(structure_of_definition(definition)).encode_parts
+    definition = cdr.RosDefinition("uoarm/msg/Event", _ROS_EVENT)
+    write = cdr.Codec(cdr.structure_of_definition(definition)).encode_parts
 
     def encode(message: Message) -> bytes:
         gap = write_json(message["gap"]) if "gap" in message else ""
@@ -223,16 +222,18 @@ def reading_of(channel: FileChannel) -> ChannelReading:
         BridgeError: its messages or its schema are of a kind that is not read, or are broken.
     """
     kinds = channel.encoding, channel.schema_encoding
-    definition = RosDefinition(channel.schema_name, channel.schema_data.decode("utf-8", "replace"))
+    definition = cdr.RosDefinition(
+        channel.schema_name, channel.schema_data.decode("utf-8", "replace")
+    )
     try:
         stated = _stated(channel)
         if kinds == ("cdr", "ros2msg"):
-            structure = structure_of_definition(definition) if stated is None else stated
-            return ChannelReading(structure, deserialiser(structure, budget=_BUDGET))
+            structure = cdr.structure_of_definition(definition) if stated is None else stated
+            return ChannelReading(structure, cdr.deserialiser(structure, budget=_BUDGET))
         if kinds == ("ros1", "ros1msg"):
-            structure = structure_of_definition(definition, is_ros_1=True)
+            structure = cdr.structure_of_definition(definition, is_ros_1=True)
             return ChannelReading(
-                structure, deserialiser(structure, budget=_BUDGET, is_packed=True)
+                structure, cdr.deserialiser(structure, budget=_BUDGET, is_packed=True)
             )
         if channel.encoding == "json" and channel.schema_encoding in {"jsonschema", ""}:
             if stated is None and channel.schema_encoding:

@@ -58,6 +58,13 @@ def _create(name: str, options: PlaybackOptions) -> Bridge:
     return RecordingBridge(name, options)
 
 
+def _doctor() -> dict[str, str]:
+    from uoarm.record._file import require_mcap  # noqa: PLC0415 - as above
+
+    require_mcap()
+    return {}
+
+
 def _topic(address: tuple[str, ...], options: Options) -> str:
     del options
     return address[0] if len(address) == 1 else ""
@@ -74,6 +81,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             bridge_options=PlaybackOptions,
             endpoint_options=EndpointOptions,  # it has none
             topic=_topic,
+            doctor=_doctor,
             contract=2,
         )
     ]
