@@ -476,6 +476,11 @@ class ChannelMonitor:
         with self._lock:
             self._health.stale_after = stale_after
 
+    def wake_at(self) -> float | None:
+        """Return the time until which no `tick` has news; see `ChannelHealth.wake_at`."""
+        with self._lock:
+            return self._health.wake_at()
+
     def facts(self) -> Mapping[str, object]:
         """Return what the status shows of it beside the health."""
         with self._lock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -17,7 +18,6 @@ from uoarm_rosbridge.client._connection import ServerConnection
 from uoarm_rosbridge.client._options import address_of, port_of
 from uoarm_rosbridge.client._types import RosType
 
-_TICK_SECONDS = 0.25
 _JOIN_SECONDS = 1.0
 
 
@@ -49,7 +49,7 @@ class PeerWatch:
         self._channels: WeakSet[Channel] = WeakSet()
         self._lost: dict[str, tuple[Endpoint, frozenset[str]]] = {}
         self._closing, self._poked = threading.Event(), threading.Event()
-        self._is_new = False
+        self._is_new = self._is_asked = False
         self._thread = threading.Thread(
             target=self._run, name=f"uoarm-rosbridge-watch-{name}", daemon=True
         )
@@ -60,6 +60,7 @@ class PeerWatch:
         with self._lock:
             self._lost.pop(channel.endpoint.component, None)
             self._channels.add(channel)
+        self._poked.set()  # its silence may be due before what is waited for
 
     def remember(self, endpoint: Endpoint, *, is_silent: bool = False) -> None:
         """Look from now on whether what stands behind an endpoint is back.
@@ -77,7 +78,7 @@ class PeerWatch:
 
     def look_anew(self) -> None:
         """Look now: the connection is another one, perhaps to another server."""
-        self._is_new = True
+        self._is_new = self._is_asked = True
         self._poked.set()
 
     def stop(self) -> None:
@@ -92,25 +93,30 @@ class PeerWatch:
 
     def _run(self) -> None:
         """Watch who publishes, what was lost, and the silence of sources, until the close."""
-        next_look = time.monotonic() + self._check
+        next_look = due = time.monotonic() + self._check
         while not self._closing.is_set():
-            left = next_look - time.monotonic()
-            self._poked.wait(max(0.0, min(_TICK_SECONDS, left)))
-            if self._poked.is_set() or time.monotonic() >= next_look:
-                self._poked.clear()
+            self._poked.wait(max(0.0, due - time.monotonic()))
+            self._poked.clear()
+            if self._is_asked or time.monotonic() >= next_look:
+                self._is_asked = False
                 next_look = time.monotonic() + self._check
                 if self._connection.is_up and not self._closing.is_set():
                     with suppress(BridgeError):
                         self._look()
-            self._tick()
+            due = min(next_look, self._tick())
 
-    def _tick(self) -> None:
+    def _tick(self) -> float:
+        """Judge the silence of sources; returns when the next one may be too long."""
         # Apart from what waits: its frame would keep the last channel, closed or not.
+        due = math.inf
         with self._lock:
             channels = tuple(self._channels)
         for channel in channels:
             if isinstance(channel, TopicSource) and not channel.closed:
                 channel.health.tick()
+                wake_at = channel.health.wake_at()
+                due = due if wake_at is None else min(due, wake_at)
+        return due
 
     def _look(self) -> None:
         """Look at all that is open, and for all that was lost; one that fails hinders no other."""
