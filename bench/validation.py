@@ -18,7 +18,7 @@ from bench._schema_cases import TWIST, image, laser_scan, odometry, sequence, ze
 from bench.tables import print_table, row
 from bench.turns import load
 from uoarm._dataplane import make_check
-from uoarm._dataplane._full_validator import validator_of
+from uoarm.bridge._full_validator import validator_of
 from uoarm.model import Message, MessageStructure, Schema, ValidationMode
 
 _ROUNDS = 200

@@ -14,8 +14,8 @@ from hypothesis.strategies import DataObject, data
 from tests.schema._strategies import Body, schemas
 from tests.structures import closed
 
-from uoarm._dataplane._compiled_check import Accepts, compile_check
-from uoarm._dataplane._full_validator import validator_of
+from uoarm.bridge._compiled_check import Accepts, compile_check
+from uoarm.bridge._full_validator import validator_of
 from uoarm.model import Message, Schema
 from uoarm.testing._instance_builder import Builder, DrawnChoices
 from uoarm.testing._instances import mutate

@@ -19,8 +19,8 @@ from jsonschema import Draft202012Validator
 from tests.calls import calls_of
 
 from uoarm._dataplane import Route, make_check
-from uoarm._dataplane._compiled_check import judged
-from uoarm._dataplane._full_validator import _key
+from uoarm.bridge._compiled_check import judged
+from uoarm.bridge._full_validator import _key
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, ValidationMode
 

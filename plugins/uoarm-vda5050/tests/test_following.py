@@ -19,7 +19,7 @@ from uoarm_vda5050._transport_state import Action, GoalEnded, Phase, TransportSt
 from uoarm_vda5050._vehicle_state import VehicleState
 
 from fleet import MAKER, bridge_to, driven, endpoint, goal
-from uoarm.errors import BridgeError, BridgeTimeoutError
+from uoarm.errors import BridgeError, BridgeTimeoutError, MessageError
 from uoarm.model import Budget, Health, MessageStructure
 from uoarm.testing import Collector, patience, wait
 
@@ -276,9 +276,23 @@ def test_an_order_that_the_client_fails_to_send_is_rejected_and_the_next_state_i
 
 
 def test_a_schema_that_cannot_be_applied_is_said_to_be() -> None:
-    check = check_of({"type": "object", "properties": {"headerId": {"$ref": "#/$defs/none"}}})
-    assert check({}) == ""
-    assert "it cannot be held against the schema" in check({"headerId": 1})
+    schema = {"type": "object", "properties": {"headerId": {"$ref": "#/$defs/none"}}}
+    check = check_of(schema, "order")
+    check({})
+    with pytest.raises(MessageError, match="order: the message cannot be held against its struc"):
+        check({"headerId": 1})
+
+
+def test_a_message_is_held_against_any_schema_in_time_that_grows_with_it() -> None:
+    """In the validator of `jsonschema` each of these takes years."""
+    pattern = {"type": "object", "properties": {"name": {"pattern": "^(a+)+$"}}}
+    with pytest.raises(MessageError, match="order: name: "):
+        check_of(pattern, "order")({"name": "a" * 60 + "!"})
+    unique = {"type": "object", "properties": {"nodes": {"uniqueItems": True}}}
+    nodes = [{"nodeId": "n", "at": [number]} for number in range(100_000)]
+    check_of(unique, "order")({"nodes": nodes})
+    with pytest.raises(MessageError, match="order: nodes: "):
+        check_of(unique, "order")({"nodes": [*nodes, nodes[0]]})
 
 
 def test_a_vehicle_that_goes_before_it_is_followed_is_reported() -> None:

@@ -9,8 +9,7 @@ from uoarm._dataplane._failures import (
 )
 from uoarm._dataplane._outlet import Outlet
 from uoarm._dataplane._queue import BoundedQueue, Inbox, QueueClosed
-from uoarm._dataplane._route import MessageCheck, Route
-from uoarm._dataplane._validation import make_check
+from uoarm._dataplane._route import MessageCheck, Route, make_check
 
 __all__ = [
     "BoundedQueue",

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 from collections.abc import Callable
 
-from uoarm._dataplane._failures import Clock, InputWatch
+from uoarm._dataplane._failures import Clock, InputWatch, OutputWatch
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
 from uoarm._raised import LimitedLog, contained, is_raised, text_of
+from uoarm.bridge import message_check
 from uoarm.errors import BridgeError, CommandRefusedError, MessageError, UoarmError
-from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
+from uoarm.model import (
+    Deliver,
+    Message,
+    MessageStructure,
+    QueuePolicy,
+    RouteStatus,
+    ValidationMode,
+)
 
 Judge = Callable[[Message, bool], None]
 """Raises MessageError for a message that is not what it should be, as it came or adapted."""
@@ -399,3 +408,47 @@ class Route:
             is_silent = now - self.last_time > max(_WINDOW_SECONDS, _LATE_INTERVALS / rate)
             return 0.0 if is_silent else rate
         return rate
+
+
+def make_check(
+    structure: MessageStructure,
+    mode: ValidationMode,
+    place: str,
+    watch: OutputWatch | None = None,
+    *,
+    is_suspected: bool = False,
+) -> MessageCheck | None:
+    """Return what raises MessageError for a message of another structure.
+
+    Args:
+        structure: what the messages must match.
+        mode: OFF gives None; SAMPLED checks the first and then every 128th message, and all of the
+            128 that come after one that does not match.
+        place: the port, for the error's text.
+        watch: called with what was found; None: not watched.
+        is_suspected: whether one that did not match came before: the first 128 are checked.
+    """
+    if mode is ValidationMode.OFF and not is_suspected:
+        return None
+    check = message_check(structure, place)
+    if watch is not None:
+        check = _reporting(check, watch)
+    if mode is ValidationMode.ALWAYS:
+        return MessageCheck(check)
+    # OFF that is suspected looks at 128 messages and then never again: there is no next sample.
+    rest = SAMPLE_EVERY - 1 if mode is ValidationMode.SAMPLED else sys.maxsize
+    return MessageCheck(check, rest, is_suspected=is_suspected)
+
+
+def _reporting(check: Callable[[Message], None], watch: OutputWatch) -> Callable[[Message], None]:
+    def check_and_report(message: Message) -> None:
+        try:
+            check(message)
+        except MessageError as error:
+            watch.mismatched(error)
+            raise
+        # Only while something may be amiss: a report for each message would be a cost of each.
+        if watch.component.is_alert:
+            watch.took()
+
+    return check_and_report

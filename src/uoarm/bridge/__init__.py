@@ -16,6 +16,7 @@ from uoarm.bridge._health import (
     Disconnection,
     HealthReason,
 )
+from uoarm.bridge._message_check import message_check
 from uoarm.bridge._options import (
     BridgeOptions,
     DeclaredOptions,
@@ -90,6 +91,7 @@ __all__ = [
     "foreign",
     "hookimpl",
     "install_command",
+    "message_check",
     "option",
     "options_table",
     "reading_endpoint",

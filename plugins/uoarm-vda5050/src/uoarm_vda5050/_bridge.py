@@ -49,7 +49,7 @@ class Vda5050Bridge(Bridge):
         folder = self._options.schemas
         schemas = read_published(folder, self._release) if folder is not None else {}
         self._published = Published(self._release, schemas)
-        self._checks = {topic: check_of(self._published.whole(topic)) for topic in TOPICS}
+        self._checks = {topic: check_of(self._published.whole(topic), topic) for topic in TOPICS}
         self._broker = BrokerConnection(name, connection_options(name, options), self.report)
         self._presence = Presence(
             self._broker,

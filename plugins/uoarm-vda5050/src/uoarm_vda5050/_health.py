@@ -63,7 +63,11 @@ class Presence:
         self._link, self._wait, self._most, self._on_health = link, wait, most, on_health
         body = body_of("connection", release.name)
         self._codec = VdaCodec.reading(
-            body, _SMALL, release=release, topic="connection", check=check_of(body.schema)
+            body,
+            _SMALL,
+            release=release,
+            topic="connection",
+            check=check_of(body.schema, "connection"),
         )
         self._receiver = Receiver(f"{prefix}/+/+/connection", self._take, retained=True)
         # Held while the subscription is made, so that a second caller waits for the first one's.

@@ -14,7 +14,7 @@ from attrs import field, frozen
 from jsonschema import Draft202012Validator, SchemaError
 from uoarm_mqtt.connection import PayloadCodec
 
-from uoarm.bridge import text_of
+from uoarm.bridge import message_check
 from uoarm.errors import ConfigurationError, MessageError
 from uoarm.model import Budget, Message, MessageStructure, Schema, read_json
 from uoarm.plugins import expanded
@@ -25,8 +25,8 @@ HEADER_OCTETS = 320
 HEADER_IDS = 2**32
 """How many there are: the counter of a header is one of 32 bits."""
 
-Check = Callable[[object], str]
-"""Says what is wrong with a message, "" where nothing is."""
+Check = Callable[[Message], object]
+"""Raises MessageError for a message that is wrong."""
 
 
 class Headers:
@@ -68,7 +68,7 @@ class VdaCodec(PayloadCodec):
     release: VdaRelease = field(kw_only=True)
     topic: str = field(kw_only=True)
     headers: Headers | None = field(default=None, kw_only=True)
-    check: Check = field(default=lambda _: "", kw_only=True)
+    check: Check = field(default=bool, kw_only=True)
     is_header_kept: bool = field(default=False, kw_only=True)
 
     @classmethod
@@ -91,8 +91,7 @@ class VdaCodec(PayloadCodec):
             **{k: v for k, v in message.items() if k not in HEADER},
         }
         payload = super().encode(whole)
-        if wrong := self.check(whole):
-            raise MessageError(f"{self.topic}: {wrong}")
+        self.check(whole)
         return payload
 
     def decode(self, payload: bytes, content_type: str = "") -> Message:
@@ -112,8 +111,9 @@ class VdaCodec(PayloadCodec):
         whole = super().decode(payload, content_type)
         if not isinstance(whole, dict):
             raise MessageError(f"{self.topic}: expected an object, got {type(whole).__name__}")
-        if wrong := self.wrong_version(whole.get("version")) or self.check(whole):
+        if wrong := self.wrong_version(whole.get("version")):
             raise MessageError(f"{self.topic}: {wrong}")
+        self.check(whole)
         header = {key: whole[key] for key in HEADER if key in whole}
         if self.is_header_kept:
             return header, whole
@@ -126,21 +126,9 @@ class VdaCodec(PayloadCodec):
         return f"version {str(version)[:20]!r}, while the bridge's `release` is {self.release.name}"
 
 
-def check_of(schema: Schema) -> Check:
-    """Return what holds messages against a schema."""
-    validator = Draft202012Validator(schema)
-
-    def check(message: object) -> str:
-        try:
-            for error in validator.iter_errors(message):
-                where = "/".join(map(str, error.absolute_path)) or "the message"
-                return f"{where}: {error.message[:300]}"
-        except Exception as error:  # noqa: BLE001 - of a user's schema: references, numbers, depth
-            text = text_of(error)[:300]
-            return f"it cannot be held against the schema: {text}"
-        return ""
-
-    return check
+def check_of(schema: Schema, topic: str) -> Check:
+    """Return what holds messages against a schema of the standard, or of the user."""
+    return message_check(MessageStructure(schema), topic)
 
 
 _MOST_OCTETS = 1 << 20

@@ -288,7 +288,7 @@ class Vehicle:
             release=self._release,
             topic=topic,
             headers=self._headers,
-            check=check_of(body.schema),
+            check=check_of(body.schema, topic),
         )
 
     def _connection(self) -> BrokerConnection:

@@ -18,8 +18,8 @@ from jsonschema import Draft202012Validator, validators
 from jsonschema.exceptions import ValidationError
 from jsonschema.protocols import Validator
 
-from uoarm._dataplane._compiled_check import judged
 from uoarm._encodable import is_encodable
+from uoarm.bridge._compiled_check import judged
 from uoarm.model import Schema
 from uoarm.schema import UnsupportedPatternError, found_in
 

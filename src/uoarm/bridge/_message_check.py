@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache
@@ -11,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from attrs import define, field
 
-from uoarm._dataplane._compiled_check import Accepts, compile_check, judging
-from uoarm._dataplane._failures import OutputWatch
-from uoarm._dataplane._route import SAMPLE_EVERY, MessageCheck
 from uoarm._encodable import encodable, is_encodable, shown
 from uoarm._mistakes import Speller, mistakes
 from uoarm._support.yaml import Path, clip
+from uoarm.bridge._compiled_check import Accepts, compile_check, judging
 from uoarm.errors import MessageError
-from uoarm.model import Message, MessageStructure, Schema, ValidationMode
+from uoarm.model import Message, MessageStructure, Schema
 
 if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
@@ -29,37 +26,16 @@ _SHOWN = 10
 _LONGEST = 300  # characters of a sentence
 
 
-def make_check(
-    structure: MessageStructure,
-    mode: ValidationMode,
-    place: str,
-    watch: OutputWatch | None = None,
-    *,
-    is_suspected: bool = False,
-) -> MessageCheck | None:
+def message_check(structure: MessageStructure, place: str) -> Callable[[Message], None]:
     """Return what raises MessageError for a message of another structure.
+
+    In time that grows with the message, also where the structure has patterns or unique items; but
+    for patterns that look back or around, which `re` reads.
 
     Args:
         structure: what the messages must match.
-        mode: OFF gives None; SAMPLED checks the first and then every 128th message, and all of the
-            128 that come after one that does not match.
         place: the port, for the error's text.
-        watch: called with what was found; None: not watched.
-        is_suspected: whether one that did not match came before: the first 128 are checked.
     """
-    if mode is ValidationMode.OFF and not is_suspected:
-        return None
-    check = _make_whole_check(structure, place)
-    if watch is not None:
-        check = _reporting(check, watch)
-    if mode is ValidationMode.ALWAYS:
-        return MessageCheck(check)
-    # OFF that is suspected looks at 128 messages and then never again: there is no next sample.
-    rest = SAMPLE_EVERY - 1 if mode is ValidationMode.SAMPLED else sys.maxsize
-    return MessageCheck(check, rest, is_suspected=is_suspected)
-
-
-def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Message], None]:
     judgement = _judgement(structure)
     accepts = judgement.accepts
 
@@ -72,26 +48,12 @@ def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Mess
         except RecursionError:
             raise MessageError(f"{place}: the message is nested too deep") from None
         except Exception as error:  # an array compared with a known value raises, say
-            text = f"{place}: the message has a value that is none of JSON: {error!s:.200}"
+            text = f"{place}: the message cannot be held against its structure: {error!s:.200}"
             raise MessageError(text) from error
         if mismatch:
             raise MessageError(f"{place}: {mismatch}")
 
     return check
-
-
-def _reporting(check: Callable[[Message], None], watch: OutputWatch) -> Callable[[Message], None]:
-    def check_and_report(message: Message) -> None:
-        try:
-            check(message)
-        except MessageError as error:
-            watch.mismatched(error)
-            raise
-        # Only while something may be amiss: a report for each message would be a cost of each.
-        if watch.component.is_alert:
-            watch.took()
-
-    return check_and_report
 
 
 @define(eq=False)
@@ -144,7 +106,7 @@ class _Judgement:
     def _whole(self) -> Validator:
         """Return the whole validator, made when the first message needs it: its import is slow."""
         if self._validator is None:
-            from uoarm._dataplane._full_validator import validator_of  # noqa: PLC0415 - slow
+            from uoarm.bridge._full_validator import validator_of  # noqa: PLC0415 - slow
 
             self._validator = validator_of(self.schema)
         return self._validator
