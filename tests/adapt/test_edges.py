@@ -355,6 +355,17 @@ def test_suggestions_for_hostile_structures_are_given_up() -> None:
     assert list(left) == []
 
 
+def test_an_example_stands_at_the_reason_that_it_shows() -> None:
+    refused = check_edge(
+        structure(step=INT, data=NUMBER),
+        structure(step={"type": "boolean"}, data={"type": "string"}),
+    )
+    assert len(refused.reasons) > 1
+    first, *others = refused.reasons
+    assert repr(first.example) in first.sentence
+    assert [other.example for other in others] == [None] * len(others)
+
+
 def test_a_hostile_structure_ends_with_a_clear_reason() -> None:
     producer, consumer = map(MessageStructure, HOSTILE["500 open choices"]())
     verdict = check_edge(producer, consumer, seconds=0.2)
