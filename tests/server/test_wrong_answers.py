@@ -9,6 +9,7 @@ import re
 from collections.abc import Awaitable, Callable, Iterable
 from contextlib import suppress
 from copy import deepcopy
+from datetime import datetime, timezone
 from typing import Any, cast
 
 import pytest
@@ -20,6 +21,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.http11 import Response
 
 from uoarm._wire import TEXT_FORM
+from uoarm.cli._remote import _shown_approval
 from uoarm.client import RemoteRobot, RemoteStream
 from uoarm.client._socket import ClientSocket, Received
 from uoarm.errors import BridgeTimeoutError, ConnectionClosedError, UoarmError
@@ -30,10 +32,11 @@ CHANGE = {
     "revision": 1, "differences": ["+ a"], "connections": [], "is_applied": True, "is_kept": False,
     "time": 1.0, "text": "revision 1",
 }  # fmt: skip
+ENVELOPE = {"ranges": [], "count": 1, "rate": None}
 APPROVAL = {
     "approval": "a1", "phase": "pending", "requester": "x", "operation": "call", "function": "add",
-    "port": "", "arguments": {}, "digest": "d", "envelope": {}, "components": ["c"], "revision": 1,
-    "preview": "", "left": 1.0,
+    "port": "", "arguments": {}, "digest": "d", "envelope": ENVELOPE, "components": ["c"],
+    "revision": 1, "preview": "", "left": 1.0,
 }  # fmt: skip
 RECORDING = {"recording": "r1", "state": "ended", "files": ["x.mcap"]}
 PLAYER = {"bridge": "played", "functions": ["f"], "may_move": True, "cause": ""}
@@ -94,6 +97,16 @@ async def look_at_plan(robot: RemoteRobot) -> None:
     assert all(step["component"]["name"] + found["text"] for step in found["plan"]["steps"])
 
 
+async def look_at_approvals(robot: RemoteRobot) -> None:
+    assert all(_shown_approval(approval) for approval in await robot.approvals())
+
+
+async def look_at_revisions(robot: RemoteRobot) -> None:
+    for revision in await robot.revisions():
+        assert datetime.fromtimestamp(revision["time"], timezone.utc).isoformat()
+        assert [*revision["differences"], *revision["connections"], revision["text"]]
+
+
 async def use_stream(robot: RemoteRobot) -> None:
     stream: RemoteStream[Any] = await robot.request("f", as_type=int)
     await stream.send(1)
@@ -123,13 +136,13 @@ QUESTIONS: dict[str, tuple[Callable[[RemoteRobot], Awaitable[Any]], list[Any]]] 
     "watch": (watch_once, [STATUS]),
     "configure": (lambda robot: robot.configure("version: 1"), [CHANGE]),
     "rollback": (lambda robot: robot.rollback(1), [CHANGE]),
-    "revisions": (lambda robot: robot.revisions(), [{"revisions": [CHANGE]}]),
+    "revisions": (look_at_revisions, [{"revisions": [CHANGE]}]),
     "discover": (lambda robot: robot.discover(), [{"bridges": [{"bridge": "ros"}]}]),
     "stop_all": (
         lambda robot: robot.stop_all(), [{"stopped": True, "inputs": [OUTCOME], "text": "all"}],
     ),
     "release": (lambda robot: robot.release(), [None]),
-    "approvals": (lambda robot: robot.approvals(), [{"approvals": [APPROVAL]}]),
+    "approvals": (look_at_approvals, [{"approvals": [APPROVAL]}]),
     "approve": (lambda robot: robot.approve("a1"), [APPROVAL]),
     "record": (lambda robot: robot.record("f"), [RECORDING]),
     "recordings": (lambda robot: robot.recordings(), [{"recordings": [RECORDING]}]),

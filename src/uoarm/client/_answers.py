@@ -13,12 +13,13 @@ from typing import Any, TypeAlias
 from uoarm import errors
 
 _TYPES: Mapping[str, Callable[[Any], bool]] = {
-    "any": lambda _: True,
+    "any": lambda value: value is not _MISSING,
     "null": lambda value: value is None,
     "text": lambda value: isinstance(value, str),
     "boolean": lambda value: isinstance(value, bool),
     "integer": lambda value: type(value) is int and abs(value) < _BEYOND,
     "number": lambda value: type(value) is float or _TYPES["integer"](value),
+    "time": lambda value: _TYPES["number"](value) and 0 <= value < _LAST_TIME,
     "object": lambda value: isinstance(value, dict),
     "list": lambda value: isinstance(value, list),
     "pairs": lambda value: isinstance(value, list) and all(map(_is_pair, value)),
@@ -28,9 +29,10 @@ _TYPES: Mapping[str, Callable[[Any], bool]] = {
 # a tuple: what may be null, too.
 Shape: TypeAlias = "str | list[Any] | tuple[Any] | Mapping[str, Any]"
 _BEYOND = 2**63  # more is counted nowhere, and has no form as a float in the end
+_LAST_TIME = 2.5e11  # seconds since the epoch, of the last date that has a form
 _CELL = "text|boolean|number|null"
 _PAIR = 2
-_MISSING = object()
+_MISSING: Any = object()
 _SHOWN = 60
 
 
@@ -143,11 +145,12 @@ _STATUS: Mapping[str, Shape] = {
 _STRUCTURES: Shape = {"*": {"schema": "object|boolean"}}
 _CHANGE: Shape = {
     "revision": "integer", "differences": ["text"], "connections": "list", "is_applied": "boolean",
-    "is_kept": "boolean", "time": "number", "text": "text",
+    "is_kept": "boolean", "time": "time", "text": "text",
 }  # fmt: skip
 _APPROVAL: Shape = {
     "approval": "text", "phase": "text", "requester": "text", "operation": "text",
-    "function": "text", "port": "text", "arguments": "any", "digest": "text", "envelope": "object",
+    "function": "text", "port": "text", "arguments": "any", "digest": "text",
+    "envelope": {"ranges": "any", "count": "number", "rate": "any"},
     "components": ["text"], "revision": "integer", "preview": "text", "left": _NUMBER,
 }  # fmt: skip
 _RECORDING: Shape = {"recording": "text", "state": "text", "files": ["text"]}
