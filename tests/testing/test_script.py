@@ -6,6 +6,7 @@ import math
 import threading
 from array import array
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any, TypedDict
 
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from uoarm import ConnectionClosedError, RobotManager
 from uoarm.config import loads
 from uoarm.local import _instance
-from uoarm.testing import Background, Script, patience, same
+from uoarm.testing import Background, Script, _waiting, patience, same, wait
 
 ROBOT = """
 version: 1
@@ -108,3 +109,12 @@ def test_messages_are_the_same_by_value_except_true_and_1(
     assert same(equal, value)
     assert not same(value, different)
     assert not same(different, value)
+
+
+def test_what_takes_long_is_looked_at_less_and_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses: list[float] = []
+    event = SimpleNamespace(wait=pauses.append)
+    monkeypatch.setattr(_waiting, "threading", SimpleNamespace(Event=lambda: event))
+    wait(lambda: len(pauses) == 40)
+    assert pauses == sorted(pauses)
+    assert (pauses[0], pauses[-1]) == (0.005, 0.02)

@@ -23,7 +23,7 @@ _SLOWEST = 10.0
 _VARIABLE = "UOARM_TEST_SLOWNESS"
 _SAMPLE_COUNT = 200_000
 _SAMPLE_SECONDS = 0.02
-_GLANCE_SECONDS = 0.005
+_FIRST_GLANCE_SECONDS, _GLANCE_SECONDS = 0.005, 0.02
 T = TypeVar("T")
 
 
@@ -54,16 +54,19 @@ def wait(
     never: str = "it did not come to pass",
     timeout: float | None = None,
 ) -> None:
-    """Wait until something is true of which there is no event, looking every five milliseconds.
+    """Wait until something is true of which there is no event.
+
+    Looks after five milliseconds, then less and less often, and fifty times a second in the end.
 
     Raises:
         AssertionError: with the text of `never`, after `timeout` or else `patience` seconds.
     """
     deadline = time.monotonic() + (patience() if timeout is None else timeout)
-    pause = threading.Event()
+    pause, seconds = threading.Event(), _FIRST_GLANCE_SECONDS
     while not ready():
         assert time.monotonic() < deadline, never
-        pause.wait(_GLANCE_SECONDS)
+        pause.wait(seconds)
+        seconds = min(1.25 * seconds, _GLANCE_SECONDS)
 
 
 def _sample() -> float:
