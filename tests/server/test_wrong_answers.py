@@ -24,7 +24,7 @@ from uoarm._wire import TEXT_FORM
 from uoarm.cli._remote import _shown_approval
 from uoarm.client import RemoteRobot, RemoteStream
 from uoarm.client._socket import ClientSocket, Received
-from uoarm.errors import BridgeTimeoutError, ConnectionClosedError, UoarmError
+from uoarm.errors import BridgeTimeoutError, ControlMessageError, UoarmError
 from uoarm.model import find_trouble, format_status
 
 HELLO = {"protocol": 1, "message_bytes": 4096, "time": 1.5, "manager": "ab"}
@@ -286,8 +286,8 @@ def test_a_wrong_notice_is_an_error_of_ours(data: st.DataObject) -> None:
     ],
 )
 async def test_what_is_wrong_with_an_answer_is_said(answer: Any, what: str) -> None:
-    text = f"the server sent what is no message: Reply to List: {what}"
-    with pytest.raises(ConnectionClosedError, match=re.escape(text)):
+    text = f"the server's Reply to List: {what}"
+    with pytest.raises(ControlMessageError, match=re.escape(text)):
         await ask("functions", [answer], [])
 
 

@@ -201,13 +201,13 @@ def checked_answer(asked: Mapping[str, Any], answer: Any) -> Any:
     """Return what answers a question, where it is what the protocol says; raises as `checked`."""
     op = asked["op"]
     if op == "Status":
-        return checked(answer, _status_shape(answer), "Status")
+        return checked(answer, _status_shape(answer), "the server's Status")
     if op not in _ANSWERS:  # whatever a service replies, and nothing
         return answer
     more, names = asked.get("jsonMessage"), ["type"] if asked.get("type") else []
     names += more if isinstance(more, Mapping) else ()
     kinds = (kind for name in names if (kind := f"{op} {name}") in _ANSWERS)
-    return checked(answer, _ANSWERS[next(kinds, op)], f"Reply to {op}")
+    return checked(answer, _ANSWERS[next(kinds, op)], f"the server's Reply to {op}")
 
 
 def _status_shape(answer: Any) -> Shape:

@@ -191,7 +191,7 @@ class RemoteRobot(ServerQuestions):
         known = self._status
         version = known.get("version")
         since: dict[str, Any] = {} if version is None else {"jsonMessage": {"since": version}}
-        self._status = merged_status(known, await self.ask("Status", **since))
+        self._status = merged_status(known, await self._answer("Status", **since))
         return self._status
 
     async def _diagnose(self, connection: str) -> tuple[str, ...]:
@@ -330,6 +330,8 @@ class RemoteRobot(ServerQuestions):
         self, op: str, kind: str = "", *, renewed: RemoteStream[Any] | None = None, **more: Any
     ) -> Any:
         """Ask what this class has no method for, as the protocol says; returns `jsonMessage`.
+
+        As it came: only the reply to a `Request` is checked here.
 
         Args:
             op: of the control message.
@@ -505,8 +507,8 @@ class RemoteRobot(ServerQuestions):
         if received["op"] != "Reply":
             text = f"op: expected Reply or Error, got {received['op']!r:.60}"
             raise errors.ControlMessageError(text)
-        checked_answer(asked.fields, message)
         if asked.fields["op"] == "Request":
+            checked_answer(asked.fields, message)
             # Made here, since the first message may follow before the caller has woken.
             stream = asked.renewed
             if stream is None:

@@ -8,24 +8,37 @@ from collections.abc import Mapping
 from typing import Any
 
 from uoarm._arguments import arguments
+from uoarm.client._answers import checked_answer
 
 
 class ServerQuestions(ABC):
-    """Plans, configuration, emergency stop, approvals and recordings of a robot elsewhere."""
+    """Plans, configuration, emergency stop, approvals and recordings of a robot elsewhere.
+
+    Where a server answers what the protocol does not have, each raises ControlMessageError.
+    """
 
     @abstractmethod
     async def ask(self, op: str, kind: str = "", **more: Any) -> Any:
         """Send a control message and return the `jsonMessage` of its answer."""
 
+    async def _answer(self, op: str, kind: str = "", **more: Any) -> Any:
+        """Ask, and return an answer that is what the protocol says.
+
+        Raises:
+            ControlMessageError: it is another; the text names the field.
+        """
+        answer = await self.ask(op, kind, **more)
+        return checked_answer({"op": op, "type": kind, **more}, answer)
+
     async def functions(self) -> list[Mapping[str, Any]]:
         """Return the functions that one may see."""
-        listed: list[Mapping[str, Any]] = (await self.ask("List"))["functions"]
+        listed: list[Mapping[str, Any]] = (await self._answer("List"))["functions"]
         return listed
 
     @arguments()
     async def resolve(self, name: str) -> Mapping[str, Any]:
         """Return the plan of a function as data, and as text; raises ResolutionError."""
-        plan: Mapping[str, Any] = await self.ask("Resolve", name)
+        plan: Mapping[str, Any] = await self._answer("Resolve", name)
         return plan
 
     @arguments()
@@ -85,12 +98,12 @@ class ServerQuestions(ABC):
         wanted: dict[str, Any] = {**what, "dry_run": dry_run, "force": force}
         if revision is not None:
             wanted["revision"] = revision
-        change: Mapping[str, Any] = await self.ask("Configure", jsonMessage=wanted)
+        change: Mapping[str, Any] = await self._answer("Configure", jsonMessage=wanted)
         return change
 
     async def revisions(self) -> list[Mapping[str, Any]]:
         """Return the revisions of the configuration, the one in force last; needs `configure`."""
-        report: Mapping[str, Any] = await self.ask("Configure")
+        report: Mapping[str, Any] = await self._answer("Configure")
         return list(report["revisions"])
 
     async def discover(self) -> list[Mapping[str, Any]]:
@@ -100,7 +113,7 @@ class ServerQuestions(ABC):
             `bridge`, `plugin`, `configured`, `cause` where it sees nothing, `facts` of the plugin,
             `components` with their `ports`, `more` and `left_out`; also plugins without a bridge.
         """
-        report: Mapping[str, Any] = await self.ask("Discover")
+        report: Mapping[str, Any] = await self._answer("Discover")
         return list(report["bridges"])
 
     async def stop_all(self) -> Mapping[str, Any]:
@@ -113,7 +126,7 @@ class ServerQuestions(ABC):
         Raises:
             ServerError: the role may not.
         """
-        report: Mapping[str, Any] = await self.ask("Stop")
+        report: Mapping[str, Any] = await self._answer("Stop")
         return report
 
     async def release(self) -> None:
@@ -123,7 +136,7 @@ class ServerQuestions(ABC):
             BridgeError: some inputs could not be reached, and go on refusing commands.
             ServerError: the role may not.
         """
-        await self.ask("Stop", jsonMessage={"release": True})
+        await self._answer("Stop", jsonMessage={"release": True})
 
     async def approvals(self) -> list[Mapping[str, Any]]:
         """Return what others ask for that one may approve, oldest first; needs `approve`.
@@ -132,7 +145,7 @@ class ServerQuestions(ABC):
             `approval`, `phase`, `requester`, `operation`, `function`, `arguments`, `digest`,
             `envelope`, `seconds`, `left`, `components`, `preview`, `approver`, `uses` and `cause`.
         """
-        report: Mapping[str, Any] = await self.ask("Approve")
+        report: Mapping[str, Any] = await self._answer("Approve")
         return list(report["approvals"])
 
     @arguments()
@@ -153,7 +166,7 @@ class ServerQuestions(ABC):
         wanted: dict[str, Any] = {"approve": approve, "cause": cause}
         if digest:
             wanted["digest"] = digest
-        decided: Mapping[str, Any] = await self.ask("Approve", approval, jsonMessage=wanted)
+        decided: Mapping[str, Any] = await self._answer("Approve", approval, jsonMessage=wanted)
         return decided
 
     @arguments()
@@ -186,31 +199,35 @@ class ServerQuestions(ABC):
             "ring": ring,
         }
         options = {name: value for name, value in given.items() if value is not None}
-        begun: Mapping[str, Any] = await self.ask(
+        begun: Mapping[str, Any] = await self._answer(
             "Record", jsonMessage={"functions": list(functions), **options}
         )
         return begun
 
     async def recordings(self) -> Mapping[str, Any]:
         """Return the `recordings`, and for whom may record all also the `files` in their folder."""
-        found: Mapping[str, Any] = await self.ask("Record")
+        found: Mapping[str, Any] = await self._answer("Record")
         return found
 
     @arguments()
     async def stop_recording(self, recording: str) -> Mapping[str, Any]:
         """End a recording and return what is in it; that of another needs the right `kill`, too."""
-        ended: Mapping[str, Any] = await self.ask("Record", recording, jsonMessage={"stop": True})
+        ended: Mapping[str, Any] = await self._answer(
+            "Record", recording, jsonMessage={"stop": True}
+        )
         return ended
 
     @arguments()
     async def dump_recording(self, recording: str) -> Mapping[str, Any]:
         """Write what a recording with a `ring` keeps in memory; `written` is the file."""
-        done: Mapping[str, Any] = await self.ask("Record", recording, jsonMessage={"dump": True})
+        done: Mapping[str, Any] = await self._answer(
+            "Record", recording, jsonMessage={"dump": True}
+        )
         return done
 
     async def players(self) -> list[Mapping[str, Any]]:
         """Return where the recordings are that bridges play."""
-        report: Mapping[str, Any] = await self.ask("Play")
+        report: Mapping[str, Any] = await self._answer("Play")
         return list(report["players"])
 
     @arguments()
@@ -227,7 +244,7 @@ class ServerQuestions(ABC):
         given = {"pause": pause, "rate": rate, "seek": seek, "step": step or None}
         wanted = {name: value for name, value in given.items() if value is not None}
         message: dict[str, Any] = {"jsonMessage": wanted} if wanted else {}
-        moved: Mapping[str, Any] = await self.ask("Play", bridge, **message)
+        moved: Mapping[str, Any] = await self._answer("Play", bridge, **message)
         return moved
 
 
