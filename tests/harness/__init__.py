@@ -42,6 +42,7 @@ TOGETHER = {
     "tests/examples/test_healthbot.py",
     "tests/harness/test_harness.py",
     "tests/packaging/test_distributions.py",
+    "tests/test_layers.py",
 }
 # The last resort against a test that hangs where nothing limits its wait.
 HANGING = 10
