@@ -158,7 +158,7 @@ test("every question of the client is tried", async () => {
 });
 
 test("what is wrong with an answer is said", async () => {
-  const text = "the server sent what is no message: Reply to List.functions: expected list, got null";
+  const text = "the server's Reply to List.functions: expected list, got null";
   await assert.rejects(ask("functions", [{ functions: null }]), { code: "unreadable", message: text });
 });
 

@@ -316,10 +316,10 @@ const ANSWERS = {
 
 /** Returns what answers a question, where it is what the protocol says; throws where it is not. */
 function checkedAnswer({ op, type, jsonMessage }, answer) {
-  if (op === "Status") return checked(answer, statusShape(answer), "Status");
+  if (op === "Status") return checked(answer, statusShape(answer), "the server's Status");
   if (!ANSWERS[op]) return answer;
   const kinds = [...(type ? ["type"] : []), ...Object.keys(jsonMessage ?? {})].map((name) => `${op} ${name}`);
-  return checked(answer, ANSWERS[kinds.find((kind) => ANSWERS[kind]) ?? op], `Reply to ${op}`);
+  return checked(answer, ANSWERS[kinds.find((kind) => ANSWERS[kind]) ?? op], `the server's Reply to ${op}`);
 }
 
 function statusShape(answer) {
@@ -608,8 +608,14 @@ export class Robot {
     }
     if (!this.#asked.has(id)) return;
     if (op !== "Reply" && op !== "Error") throw new Error("op: expected Reply or Error");
-    if (op !== "Error") checkedAnswer(this.#asked.get(id).fields, message);
-    const error = op === "Error" ? errorOf(message) : null;
+    const { fields } = this.#asked.get(id);
+    let error = op === "Error" ? errorOf(message) : null;
+    try {
+      if (!error) checkedAnswer(fields, message);
+    } catch (wrong) {
+      if (fields.op === "Request") throw wrong; // what it opened cannot be given back
+      error = new UoarmError("unreadable", wrong.message);
+    }
     const asked = this.#forget(id);
     if (error) asked.reject(error);
     else if (asked.fields.op === "Request") {
