@@ -60,9 +60,6 @@ _log = logging.getLogger("uoarm")
 _log_of_events = logging.getLogger("uoarm.control")
 
 
-_SHOWN = 500  # characters of what failed
-
-
 class Driver:
     """Runs the control plane of one manager. All methods may be called from any thread.
 
@@ -89,7 +86,7 @@ class Driver:
         emergency_stop: EmergencyStop,
         functions: Functions,
     ) -> None:
-        self._records = LimitedLog(_log)
+        self._log_failure = partial(LimitedLog(_log).write, logging.ERROR)
         self._process = generation()
         robot = revisions.current.robot
         self.state = State(robot.failover, _bridges_of(robot.components()))
@@ -250,12 +247,9 @@ class Driver:
         if difference.changes:
             every = _bridges_of((*before.components(), *robot.components()))
             number += 1
-            text, superseded = (
-                "; ".join(difference.changes[:_LISTED_CHANGES]),
-                difference.superseded,
-            )
+            text = "; ".join(difference.changes[:_LISTED_CHANGES])
             # A plan with a new candidate can be found only after the state knows its bridge.
-            self._handle(ev.CandidatesChanged(every, text, number, superseded))
+            self._handle(ev.CandidatesChanged(every, text, number, difference.superseded))
         self._revisions.use_candidates(robot, difference.superseded, number)
 
     def _candidates_in_use(self, robot: Robot) -> Iterable[Component]:
@@ -346,7 +340,7 @@ class Driver:
         try:
             state, actions = step(self.state, event, now)
         except Exception as error:  # noqa: BLE001 - its caller must not pay for a fault of ours
-            self._log_failure(f"the control plane failed at {shown(event, _SHOWN)}", error)
+            self._log_failure(f"the control plane failed at {shown(event)}", error)
             return
         # Before the actions: a thread that an action wakes finds the state from which it follows.
         before, self.state = self.state, state
@@ -361,10 +355,7 @@ class Driver:
             try:
                 self._perform(action)
             except Exception as error:  # noqa: BLE001 - nor do the actions that come after it
-                self._log_failure(f"the control plane failed to do {shown(action, _SHOWN)}", error)
-
-    def _log_failure(self, text: str, error: BaseException) -> None:
-        self._records.write(logging.ERROR, text, error)
+                self._log_failure(f"the control plane failed to do {shown(action)}", error)
 
     def _perform(self, action: act.Action) -> None:  # noqa: C901, PLR0912, PLR0915 - a case for each
         """Do an action, or have it done in its lane. Waits for nothing, and calls nothing foreign.
@@ -465,7 +456,7 @@ class Driver:
         try:
             event = foreign(call) or after
         except Exception as error:  # noqa: BLE001 - the lane must go on
-            self._log_failure(f"the control plane failed to do {shown(action, _SHOWN)}", error)
+            self._log_failure(f"the control plane failed to do {shown(action)}", error)
             event = after
         # In the lane's thread, which owns the state then if no other does: no event needs one of
         # its own.
@@ -573,13 +564,12 @@ class Driver:
                 plan = revision.resolve(action.function, avoided=action.avoided)
         except BaseException as error:  # noqa: BLE001 - handed to who asked
             return ev.Resolved(action.connection, None, error, revision.number)
-        number, candidates = revision.number, revision.candidates
-        return ev.Resolved(action.connection, plan, revision=number, candidates=candidates)
+        return ev.Resolved(action.connection, plan, None, revision.number, revision.candidates)
 
     def _switch_inputs(self, action: act.SwitchInputs) -> ev.Event:
+        switch = partial(self.live.switch_inputs, action.edges)
         try:
-            step_name = "switchover to better components"
-            deadlines.run(step_name, _OPEN_SECONDS, partial(self.live.switch_inputs, action.edges))
+            deadlines.run("switchover to better components", _OPEN_SECONDS, switch)
         except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
             if not isinstance(error, UoarmError):
                 self._log_failure("changing over failed", error)

@@ -16,7 +16,7 @@ from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from websockets.asyncio.server import ServerConnection
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.extensions.permessage_deflate import PerMessageDeflate
 from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.http11 import Request
@@ -188,7 +188,10 @@ class TurnConnection(ServerConnection):
         await asyncio.wait(head, return_when=asyncio.FIRST_COMPLETED)
         if self.request is not None:
             await self._sockets.turns.open(self._turn, host_of(self))
-        await super().handshake(*arguments, **options)
+        with suppress(
+            InvalidHandshake
+        ):  # of strangers: websockets 15 and 16 log a traceback of each
+            await super().handshake(*arguments, **options)
 
     async def keepalive(self) -> None:
         """Cut the client off, without a close frame, when it does not answer a ping in time."""
