@@ -77,7 +77,15 @@ class Scene:
             self.camera.emit({"value": number})
 
     def _is_past(self, before: object) -> bool:
-        return self._dealt_with() != before
+        # A route counts what failed before its component is judged by it.
+        status = self.robot.status()
+        noted = {component.name: component.failed for component in status.components}
+        return self._dealt_with() != before and all(
+            noted.get(route.consumer.partition(".")[0], count) >= count
+            for route in status.routes
+            if (count := dict(route.dropped).get("failed", 0))
+            and route.producer == "camera.default"
+        )
 
     def _dealt_with(self) -> object:
         return [
