@@ -448,6 +448,8 @@ def test_who_can_be_read_now_and_then_is_kept_and_well_again_once_it_always_can(
         scene.emit(12, 0.6)
         wait(lambda: scene.component("camera").health is Health.OK)
         assert (scene.component("camera").failed, connection.gaps) == (45, ())
+        well = "component camera", "ok"
+        scene.events.wait_for(lambda item: (item.subject, item.change) == well)
         assert scene.changes("component camera") == ["degraded", "ok"]
 
 
