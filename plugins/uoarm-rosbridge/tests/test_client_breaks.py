@@ -274,7 +274,8 @@ def test_calls_after_one_without_a_reply_are_replied_to(played: Played) -> None:
     with hanging({"data": True}, times=1) as answer:
         played.answers["set"] = answer
         with bridge_to(played.url, wait=0.5) as bridge:
-            with pytest.raises(BridgeTimeoutError, match="no reply within"):
+            # The second is of the manager, where the call began late on a busy machine.
+            with pytest.raises(BridgeTimeoutError, match=r"no reply within|did not finish within"):
                 bridge.call(service, {"data": True}, timeout=0.5)
 
             def passes() -> bool:
