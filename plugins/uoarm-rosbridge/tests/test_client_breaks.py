@@ -172,7 +172,9 @@ def test_nodes_that_do_not_come_back_are_lost(played: Played) -> None:
         played.answers["publishers"] = {"publishers": []}
         played.sockets[-1].close()
         eventually(lambda: source in {event.channel for event in events}, "it is lost")
-        assert events[-1].cause == "disconnected: /chatter: no node publishes it"
+        # On a busy machine the connection itself may be away for longer than the grace, too.
+        causes = {event.cause for event in events if event.channel is source}
+        assert causes == {"disconnected: /chatter: no node publishes it"}
 
 
 def test_a_call_that_breaks_fails_at_once_and_is_not_sent_again(played: Played) -> None:
