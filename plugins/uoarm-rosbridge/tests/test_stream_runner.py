@@ -191,3 +191,25 @@ def test_a_goal_that_is_never_answered_holds_up_the_next_for_a_while_only() -> N
         assert backend.sent == [("goal", "never"), ("goal", "next")]
 
     asyncio.run(asyncio.wait_for(work(), patience()))
+
+
+def test_a_goal_after_the_end_that_a_late_one_brought_is_not_cancelled() -> None:
+    async def work() -> None:
+        backend = Feeds(opened(), Limits(request_seconds=0.01))
+        runner = StreamRunner("walk", cast("Backend", backend))
+        failed = asyncio.Event()
+
+        def end_all(_: BaseException) -> None:
+            feeds, backend.feeds = backend.feeds, opened()
+            backend.limits = Limits(request_seconds=patience())
+            feeds["status"].finish("failed", "its client ended it")
+            failed.set()
+
+        runner.start(Goal("late", lambda _: None, lambda *_: None, end_all))
+        await failed.wait()
+        runner.start(Goal("next", lambda _: None, lambda *_: None, lambda _: None))
+        await turns()
+        backend.feeds["status"].take({"goal_id": "2", "status": "accepted"})
+        assert backend.sent == [("goal", "late"), ("goal", "next")]
+
+    asyncio.run(asyncio.wait_for(work(), patience()))

@@ -280,6 +280,8 @@ class StreamRunner:
     def _late(self, goal: Goal) -> None:
         text = f"{self._function!r} has not answered the goal in time"
         goal.fail(BridgeTimeoutError(text))
+        if goal is not self._asked:  # its client ended the function in there
+            return
         # An answer that comes still does not say whose it is: no other goal is handed over for as
         # long again, whose client would get this one's id. Where it is accepted, it is cancelled.
         self._unwanted = True
