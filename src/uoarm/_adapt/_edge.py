@@ -221,10 +221,15 @@ def _verdict(verdict: Verdict, losses: tuple[str, ...], allow_loss: tuple[str, .
         sentence = f"it cannot be decided whether every message fits: {verdict.undecided}"
         return EdgeVerdict(False, (Reason(sentence, error_code="UOA-224"),), is_undecided=True)
     if not verdict.compatible:
-        parts = (verdict.excerpt, *(None for _ in verdict.reasons[1:]))  # it is of the first
         reasons = tuple(
-            Reason(reason.sentence, reason.path, reason.producer, reason.consumer, part)
-            for reason, part in zip(verdict.reasons, parts, strict=False)
+            Reason(
+                reason.sentence,
+                reason.path,
+                reason.producer,
+                reason.consumer,
+                None if place else verdict.excerpt,  # it is of the first
+            )
+            for place, reason in enumerate(verdict.reasons)
         )
         return EdgeVerdict(False, reasons or (Reason("a message would be refused"),))
     warnings = [f"{loss.path}: {loss.sentence}" for loss in verdict.losses]

@@ -240,7 +240,7 @@ class Server:
                 if front_end.name in self._settings.front_end_ports:
                     raise ConfigurationError(f"{front_end}: {error}") from error
                 text = f"{front_end} did not start, and is left out"
-                LimitedLog(_log).write(logging.ERROR, text, error)
+                self._records.write(logging.ERROR, text, error)
                 self._front_ends.drop(front_end.name, "it did not start")
 
     async def _listen(

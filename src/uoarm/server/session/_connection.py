@@ -188,9 +188,8 @@ class TurnConnection(ServerConnection):
         await asyncio.wait(head, return_when=asyncio.FIRST_COMPLETED)
         if self.request is not None:
             await self._sockets.turns.open(self._turn, host_of(self))
-        with suppress(
-            InvalidHandshake
-        ):  # of strangers: websockets 15 and 16 log a traceback of each
+        # What is no handshake is raised by websockets 15 and 16, which log a traceback of each.
+        with suppress(InvalidHandshake):
             await super().handshake(*arguments, **options)
 
     async def keepalive(self) -> None:

@@ -149,9 +149,9 @@ class InputSender:
         if ends_motion:
             charge = self._account.hold(MemoryUse.SENDING)
             charge.resize(octets)
+        elif len(self._waiting) >= self._limit:
+            raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
         else:
-            if len(self._waiting) >= self._limit:
-                raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
             # Charged before it is kept: a refusal leaves nothing behind.
             charge = self._account.charge(MemoryUse.SENDING, octets)
         sent = boot_seconds() - age
@@ -251,14 +251,14 @@ class InputSender:
             return
         batch = self._next_batch()
 
-        # May refuse when nothing runs: then nothing was taken from the queue yet, and `send` takes
-        # back what it added. What goes on is never refused.
         def hand_over() -> list[BaseException | None]:
             return [self._hand_over(queued) for queued in batch]
 
         if any(queued.ends_motion for queued in batch):
             future = self._workers.stop(hand_over)
         else:
+            # May refuse when nothing runs: then nothing was taken from the queue yet, and `send`
+            # takes back what it added. What goes on is never refused.
             future = self._workers.start(hand_over, always=self._running)
         self._running = True
         self._handing = batch
