@@ -132,3 +132,4 @@ def test_why_tls_failed_is_said_in_words(
         client.do_handshake()
     assert re.fullmatch(why, tls_fault(raised.value, "trust it"))
     assert tls_fault(ConnectionResetError("gone")) == "ConnectionResetError: gone"
+    assert tls_fault(ConnectionResetError()) == "no TLS: it ended the connection"

@@ -97,6 +97,19 @@ def test_a_server_that_is_not_there_is_named() -> None:
     assert "ws://127.0.0.1:1/: nothing listens there: is uoarm serve running?" in shown.output
 
 
+def test_a_server_without_tls_and_a_token_that_is_none_are_said(server: Server) -> None:
+    url = url_of(server)
+    for code, given, said in (
+        (4, ["--url", url.replace("ws:", "wss:")], "no TLS"),
+        (1, ["--url", url, "--token", "s3cret\nmore"], "token: expected one line"),
+    ):
+        shown = CliRunner().invoke(main, ["status", *given])
+        assert shown.exit_code == code
+        assert said in shown.output
+        assert "s3cret" not in shown.output
+    assert CliRunner().invoke(main, ["status", "--url", url, "--token", "x\n"]).exit_code == 0
+
+
 def test_a_redirection_is_said_with_what_to_do() -> None:
     with redirecting("http://robot.example/ros/") as place:
         shown = CliRunner().invoke(main, ["status", "--url", place])

@@ -91,7 +91,9 @@ await robot.close();
         )
 
     trusting = {"NODE_EXTRA_CA_CERTS": str(tmp_path / "robot.pem")}
-    assert run("tablet", **trusting).stdout == "driver\n"
+    for token in ("tablet", "tablet\n"):  # as it stands in a file
+        assert run(token, **trusting).stdout == "driver\n"
+    assert "token: expected what `uoarm token` prints" in run("two words", **trusting).stderr
     for refused in (run("tablet"), run("other", **trusting)):
         assert refused.returncode == 1
         assert f"{url}: nothing listens there, its certificate is not trusted" in refused.stderr

@@ -422,6 +422,21 @@ def test_what_cannot_be_had_there_is_listed_without_ports(tmp_path: Path) -> Non
         robot.close()
 
 
+def test_a_manager_that_lists_nothing_is_seen_only_where_it_is_reached() -> None:
+    robot = ServedRobot(ROBOT)
+    options = {"url": robot.url, "timeout": patience()}
+    near, away = (Registry().create(BridgeSpec("far", "remote", options)) for _ in range(2))
+    try:
+        assert near.discover(timeout=patience()) == ()
+        robot.close()
+        with pytest.raises(BridgeError, match="not reached: nothing listens there"):
+            away.discover(timeout=patience())
+    finally:
+        near.close()
+        away.close()
+        robot.close()
+
+
 def test_a_manager_that_imports_itself_is_refused(desk: Desk) -> None:
     robot = ServedRobot(ROBOT)
     text = ROBOT.replace(

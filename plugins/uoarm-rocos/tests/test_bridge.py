@@ -162,7 +162,8 @@ def test_a_device_that_is_not_there_is_unavailable_within_its_limit() -> None:
         with pytest.raises(BridgeError, match=r"not there after 0\.2 s: tcp://127") as raised:
             bridge.describe(endpoint("robot", "odometry"))
         assert raised.value.reason is FailureReason.UNAVAILABLE
-        assert bridge.discover() == ()
+        with pytest.raises(BridgeError, match="tcp://127"):
+            bridge.discover()
 
 
 def test_a_catalogue_from_a_file_is_used_without_asking() -> None:
@@ -176,7 +177,10 @@ def test_two_devices_of_one_bridge_keep_apart() -> None:
     with (
         served(SimulatedRobot(), "tcp") as one,
         served(SimulatedRobot(), "pty") as two,
-        bridged(one={"url": one}, two={"url": two}) as (bridge, _),
+        bridged(one={"url": one}, two={"url": two}, away={"url": "tcp://127.0.0.1:1"}) as (
+            bridge,
+            _,
+        ),
     ):
         assert {found.name for found in bridge.discover()} == {"one", "two"}
         drive = {"distance": 0.05, "speed": 0.5}
@@ -263,8 +267,8 @@ def test_devices_end_together_and_not_one_after_the_other(monkeypatch: pytest.Mo
     monkeypatch.setattr(_bridge, "make_device", lambda *_: Dark())
     names = ("one", "two", "three")
     devices: dict[str, dict[str, object]] = {name: {"url": "tcp://127.0.0.1:1"} for name in names}
-    with bridged(**devices) as (bridge, _):
-        assert bridge.discover() == ()
+    with bridged(**devices) as (bridge, _), pytest.raises(LineError):
+        bridge.discover()
     assert at_close == [3, 3, 3]
 
 

@@ -216,6 +216,8 @@ def tls_fault(error: BaseException, trust: str = "give its authority as `ca` of 
     if isinstance(error, ssl.SSLError):
         reason = getattr(error, "reason", None) or str(error)
         return f"no TLS: {reason.replace('_', ' ').lower()}"
+    if isinstance(error, ConnectionResetError) and not error.args:  # asyncio, in a handshake
+        return "no TLS: it ended the connection"
     return text_of(error)
 
 

@@ -174,7 +174,7 @@ def _cause(error: Exception, server: Remote) -> str:
         return "nothing listens there: is uoarm serve running?"
     if isinstance(error, TimeoutError):
         return "it does not answer"
-    if isinstance(error, ssl.SSLError):
+    if isinstance(error, ssl.SSLError) or (isinstance(error, OSError) and not error.args):
         trust = "give --authority FILE, or --fingerprint with what it printed at its start"
         return tls_fault(error, trust)
     if isinstance(error, OSError):

@@ -68,7 +68,10 @@ class ServerAddress:
     async def _open(self, form: Form) -> ClientSocket:
         headers = dict(self.headers)
         if self.token is not None:
-            headers["Authorization"] = f"Bearer {self.token}"
+            token = self.token.strip()  # as it is read from a file
+            if not token.isprintable():  # what `websockets` raises would show it
+                raise UsageError("token: expected one line of visible characters")
+            headers["Authorization"] = f"Bearer {token}"
         limits = {"timeout": self.timeout, "silence": self.silence}
         tls = self.tls() if callable(self.tls) else self.tls
         return await ClientSocket.open(self.url, form, headers, tls, LARGEST.octets, **limits)
@@ -109,6 +112,7 @@ async def connect(
         ssl.SSLCertVerificationError: the server's certificate is not trusted.
         TimeoutError: it took too long.
         websockets.exceptions.InvalidHandshake: the server refused, for example without a token.
+        UsageError: the token is none.
     """
     server = ServerAddress(url, token, tls, timeout, answer=answer)
     async with server.robot(binary=binary, reconnect=reconnect).running(resume=resume) as robot:

@@ -55,6 +55,15 @@ test("what a drop took is counted as the session goes on, and at the end", async
   robot.close();
 });
 
+test("why a connection ended has no empty reason", async () => {
+  const connecting = connect("ws://x/", { WebSocket: Socket, resume: false, reconnect: 0 });
+  const socket = Socket.made.at(-1);
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const waiting = (await connecting).status();
+  socket.onclose({ code: 1006, reason: "" });
+  await assert.rejects(waiting, { code: "closed", message: "the connection ended (1006)" });
+});
+
 test("numbers and octets that JSON has no form for are written as the protocol says", async () => {
   const connecting = connect("ws://x/", { WebSocket: Socket });
   const socket = Socket.made.at(-1);

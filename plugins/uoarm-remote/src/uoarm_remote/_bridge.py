@@ -94,6 +94,7 @@ class RemoteManagerBridge(Bridge):
 
     def _discover(self) -> tuple[Discovered, ...]:
         if not self._given.discover:
+            self._other.require(self._given.timeout)
             return ()
         return discovered(self._other, self.name, self._given.timeout)
 

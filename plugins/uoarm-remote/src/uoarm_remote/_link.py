@@ -152,6 +152,19 @@ class ManagerLink:
         identity = self._identity()
         return {"x-managers": [*asking_managers(), identity]} if identity else {}
 
+    def require(self, timeout: float) -> None:
+        """Raise where the other manager is not reached, of the first attempt after `timeout`.
+
+        Raises:
+            BridgeError: as `ask`.
+        """
+        self._begin()
+        self._tried.wait(timeout)
+        try:
+            self._reached()
+        except BridgeError as error:
+            raise translated(self.place, error) from error
+
     def ask(self, op: str, kind: str, timeout: float, **fields: Any) -> Any:
         """Ask the other manager, in any thread but the link's; returns the answer.
 

@@ -166,13 +166,16 @@ class RocosBridge(Bridge):
     def _discover(self) -> tuple[Discovered, ...]:
         end = time.monotonic() + _DISCOVER_SECONDS
         devices = {name: self._named(name) for name in self._device_options}
-        found = []
+        found, away = [], []
         for name, device in devices.items():
             try:
                 catalogue = device.catalogue(max(0.0, end - time.monotonic()))
-            except BridgeError:
-                continue  # not there now, which is what a discovery is to find out
-            found.append(listing(self.name, name, catalogue))
+            except BridgeError as error:  # that it is away is what a discovery is to find out
+                away.append(error)
+            else:
+                found.append(listing(self.name, name, catalogue))
+        if away and not found:
+            raise away[0]
         return tuple(found)
 
     def _close(self) -> None:

@@ -218,7 +218,7 @@ export class Link {
 
   async #closed({ code, reason }) {
     this.#socket = null;
-    let error = new UoarmError("closed", `the connection ended (${code}) ${reason}`);
+    let error = new UoarmError("closed", `the connection ended (${code}) ${reason}`.trimEnd());
     if (code === DROPPED && this.#key) {
       error = await this.#retry(error, this.#seconds, (timeout) => this.#goOn(timeout));
     }

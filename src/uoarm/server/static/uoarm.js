@@ -10,6 +10,8 @@ const LONGEST_TIMER = 2 ** 31 - 1; // of more milliseconds it ends at once
 const NO_SOCKET =
   "there is no WebSocket here: Node.js has it from version 22 on, from 20.10 on with " +
   "--experimental-websocket; or give connect a class, { WebSocket }";
+const TOKEN = /^[\w!#$%&'*+.^`|~-]+$/; // what a subprotocol's name may have
+const NO_TOKEN = "token: expected what `uoarm token` prints: no spaces, no line breaks";
 const FORMS = {
   json: { protocol: "uoarm.v1.json", read: JSON.parse, write: (it) => JSON.stringify(it, inJson) },
   cbor: { protocol: "uoarm.v1.cbor", read: decode, write: encode },
@@ -698,13 +700,15 @@ export async function connect(
   if (!Socket) throw new UoarmError("usage", NO_SOCKET);
   const form = binary ? FORMS.cbor : FORMS.json;
   const protocols = [form.protocol];
-  if (token !== undefined) protocols.push(`uoarm.token.${token}`);
+  const shown = token?.trim(); // as it is read from a file
+  if (shown && !TOKEN.test(shown)) throw new UoarmError("usage", NO_TOKEN);
+  if (shown !== undefined) protocols.push(`uoarm.token.${shown}`);
   const open = () => new Socket(url, protocols);
   try {
     return await new Robot({ open, form, timeout, resume, reconnect, answer }).start();
   } catch (error) {
     if (!(error instanceof UoarmError)) throw error;
-    const shown = String(url).replace(/([?&]token=)[^&#]*/, "$1***");
-    throw new UoarmError("closed", `${shown}: ${error.message}`);
+    const place = String(url).replace(/([?&]token=)[^&#]*/, "$1***");
+    throw new UoarmError("closed", `${place}: ${error.message}`);
   }
 }
