@@ -85,6 +85,18 @@ def test_structures_are_those_of_the_objects() -> None:
     assert schema["required"] == list(SCAN)
 
 
+def test_a_list_of_no_rows_is_an_array_of_none() -> None:
+    boxes = Annotated[NDArray[np.float32], Shape(None, None, 4)]
+    read, write = reader(boxes, "here"), writer(boxes, "here")
+    assert read is not None
+    assert write is not None
+    for make in (read, write):
+        made: Any = [make([]), make([[], []]), make(np.zeros((0, 2, 4)))]
+        assert [item.shape for item in made] == [(0, 0, 4), (2, 0, 4), (0, 2, 4)]
+    with pytest.raises(MessageError, match=r"the shape \(1, 1, 0\)"):
+        read([[[]]])
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

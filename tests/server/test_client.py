@@ -9,9 +9,11 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from tests.server.conftest import Serve
 from tests.server.robot import END, script
 from typing_extensions import assert_type
@@ -37,6 +39,7 @@ from uoarm.bridge import (
 from uoarm.client import RemoteRobot, RemoteStream, ServerError, connect
 from uoarm.client._socket import ClientSocket
 from uoarm.config import loads
+from uoarm.local import Shape
 from uoarm.model import Endpoint, Message, MessageStructure
 from uoarm.server import (
     Limits,
@@ -45,7 +48,7 @@ from uoarm.server import (
     hash_token,
     serve_in_thread,
 )
-from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.testing import MemoryBridge, Script, patience, wait
 
 Work = Callable[[RemoteRobot], Awaitable[None]]
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
@@ -64,6 +67,36 @@ async def test_messages_come_and_gaps_are_counted(server: Server, binary: bool) 
         assert stream.lost == 1
         with pytest.raises(ConnectionClosedError, match="finished"):
             await stream.get()
+
+
+cameras = Script()
+camera = cameras.source(Annotated[NDArray[np.uint8], Shape(None, None, 3)])
+
+
+async def test_pictures_come_as_arrays_of_numpy() -> None:
+    """In full HD they are more values than a client reads one by one."""
+    text = """
+    version: 1
+    bridges: {python: {}}
+    functions:
+      camera:
+        components:
+          - name: camera
+            bridge: python
+            output: {endpoint: ["tests.server.test_client:camera"]}
+    """
+    picture = np.ones((1080, 1920, 3), "u1")
+    cameras.reset()
+    with (
+        RobotManager(loads(text, origin=__file__)) as robot,
+        serve_in_thread(robot, ServerOptions(port=0)) as server,
+    ):
+        async with joined(server) as client:
+            stream = await client.request("camera")
+            cameras.put(picture, picture[:0], Script.END)
+            got = [message async for message in stream]
+    assert np.array_equal(got[0], picture)
+    assert got[1].shape == (0, 1920, 3)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from array import array
 from datetime import datetime, timezone
 from enum import Enum
@@ -120,6 +121,39 @@ def test_rows_are_a_matrix() -> None:
     assert read(write_binary(np.uint8([[1, 2]])), depth=8) == [[1, 2]]  # type: ignore[arg-type] # numpy takes it
 
 
+@pytest.mark.parametrize("shape", [(0, 4), (3, 0), (0, 0), (2, 0, 3), (0, 2, 3)])
+@pytest.mark.parametrize("kind", ["u1", "f4", "?"])
+def test_rows_of_which_there_are_none(shape: tuple[int, ...], kind: str) -> None:
+    nothing = np.zeros(shape, kind)
+    assert read(write_binary(nothing)) == nothing.tolist()
+
+
+@pytest.mark.parametrize("kind", ["u1", "f4", ">i2", "u8"])
+def test_rows_may_come_as_an_array_of_numpy(kind: str) -> None:
+    cube = np.arange(24).reshape(2, 3, 4).astype(kind)
+    for sent in (cube, cube[:0], np.asfortranarray(cube)):
+        data = write_binary({"cube": sent, "flat": np.ones(1, "u1")})
+        got = read_binary(data, BudgetUse(Budget(elements=20)), with_numpy=True)
+        assert np.array_equal(got["cube"], sent)
+        assert got["flat"] == b"\1"
+        assert got["cube"].dtype == sent.dtype.newbyteorder("=")
+        assert not got["cube"].flags.writeable
+
+
+def test_a_picture_of_numpy_is_one_value() -> None:
+    data = write_binary(np.zeros((480, 640, 3), "u1"))
+    got = read_binary(data, spending := BudgetUse(Budget(elements=20)), with_numpy=True)
+    assert got.shape == (480, 640, 3)
+    assert spending.elements == 1
+
+
+def test_rows_are_lists_without_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = write_binary(np.arange(6, dtype="f4").reshape(2, 3))
+    monkeypatch.setitem(sys.modules, "numpy", None)
+    got = read_binary(data, BudgetUse(Budget()), with_numpy=True)
+    assert got == [[0, 1, 2], [3, 4, 5]]
+
+
 @pytest.mark.parametrize("size", [0, 23, 24, 255, 256, 4096, 65535, 65536, 70000])
 def test_large_octets_are_written_as_the_encoder_writes_them(size: int) -> None:
     message: dict[str, Any] = {"head": {"a": 1, "d": bytes(size)}, "data": bytes(size), "n": [1.5]}
@@ -226,6 +260,9 @@ def rows(sizes: list[int], items: bytes = b"\x81\x01") -> bytes:
         (rows([3, 3, 3], b"\xd8\x40\x44abcd"), "do not hold the 4 items"),
         (rows([]), "0 dimensions"),
         (rows([-1]), "whole numbers"),
+        (rows([0]), "whole numbers"),
+        (rows([3, 0], b"\x80"), "from 1 to the 0 items"),
+        (rows([0, -1], b"\x80"), "from 1 to the 0 items"),
         (b"\xd8\x28\x82\x81\xfb" + bytes(8) + b"\x81\x01", "whole numbers"),
         (b"\xd8\x28\x82\x81\xf5\x81\x01", "whole numbers"),
         (b"\xd8\x28\x82\x01\x81\x01", "sizes and items"),
@@ -234,9 +271,10 @@ def rows(sizes: list[int], items: bytes = b"\x81\x01") -> bytes:
     ids=lambda item: item[:30] if isinstance(item, str) else "",
 )
 def test_dimensions_are_asked_about_before_rows_are_made(data: bytes, says: str) -> None:
-    with pytest.raises(ControlMessageError, match=says) as caught:
-        read(data)
-    assert len(str(caught.value)) < 200
+    for with_numpy in (False, True):
+        with pytest.raises(ControlMessageError, match=says) as caught:
+            read_binary(data, BudgetUse(Budget()), with_numpy=with_numpy)
+        assert len(str(caught.value)) < 200
 
 
 def test_what_dimensions_make_counts_as_depth() -> None:

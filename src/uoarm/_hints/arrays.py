@@ -198,6 +198,9 @@ class NumpyArray:
         return self._checked(cast)
 
     def _checked(self, array: Any) -> Any:
+        if not array.size:  # a list says no more of it than how many rows it has
+            inner = self.lengths[array.ndim :]
+            array = array.reshape(array.shape + tuple(length or 0 for length in inner))
         text = f"expected {self}, got one of the shape {_shape(array.shape)}"
         if array.ndim != len(self.lengths):
             raise ValueError(f"{text}, which a hint says as Shape{_shape(array.shape)}")

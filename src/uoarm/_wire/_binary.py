@@ -123,15 +123,21 @@ def write_binary(message: Message) -> bytes:
         raise MessageError(f"the message has no form as CBOR: {error}") from error
 
 
-def read_binary(data: Octets, spending: BudgetUse) -> Message:
+def read_binary(data: Octets, spending: BudgetUse, *, with_numpy: bool = False) -> Message:
     """Return the value that CBOR stands for; numeric arrays come as `array.array`.
+
+    Args:
+        data: the CBOR.
+        spending: what it may cost.
+        with_numpy: whether arrays of several dimensions are numpy's, read-only, where that is
+            installed, in place of lists in lists. Such an array counts as one value.
 
     Raises:
         ControlMessageError: it is not CBOR, holds a tag or a simple value that no message has, or
             costs more than its budget.
     """
     spending.octets(len(data))
-    made = _ItemDecoders(BudgetUse(spending.budget))
+    made = _ItemDecoders(BudgetUse(spending.budget), with_numpy=with_numpy)
     if len(data) > spending.budget.elements:  # else each octet may be an item
         scan_cbor(data, BudgetUse(spending.budget))
     rest, cut = _cut(data) if len(data) >= _CUT_OCTETS else (data, {})
@@ -151,7 +157,7 @@ def read_binary(data: Octets, spending: BudgetUse) -> Message:
         raise ControlMessageError(f"not CBOR as messages have it: {str(cause)[:200]}") from error
     if more := len(rest) - stream.tell():
         raise ControlMessageError(f"more follows the message of {len(data) - more:,} bytes")
-    _examine(value, spending)
+    _examine(value, spending, made.kinds)
     return value
 
 
@@ -282,8 +288,8 @@ def _encode_other(encoder: cbor2.CBOREncoder, value: Any) -> None:
         encoder.encode(value.item())
     elif value.dtype == "uint8" and value.ndim == 1:
         encoder.encode(value.tobytes())
-    elif (value.dtype.kind, value.dtype.itemsize) not in _LITTLE_TAGS:
-        encoder.encode(value.tolist())
+    elif (value.dtype.kind, value.dtype.itemsize) not in _LITTLE_TAGS or 0 in value.shape[1:]:
+        encoder.encode(value.tolist())  # also rows of nothing, which nothing would stand for
     elif value.ndim == 1:
         octets = value.astype(value.dtype.newbyteorder("<"), copy=False).tobytes()
         _encode_typed(encoder, value.dtype.kind, value.dtype.itemsize, octets)
@@ -317,8 +323,10 @@ def _typed_reader(typecode: str, *, big: bool) -> Callable[[Any, bool], array[An
 class _ItemDecoders:
     """Decoders of what stands for more values than it has items, for one message."""
 
-    def __init__(self, spending: BudgetUse) -> None:
+    def __init__(self, spending: BudgetUse, *, with_numpy: bool) -> None:
         self._spending = spending
+        self._with_numpy = with_numpy
+        self.kinds = _KINDS
         self.decoders = {
             80: self._half(">"),
             84: self._half("<"),
@@ -335,12 +343,24 @@ class _ItemDecoders:
         return read
 
     def _rows(self, value: Any, immutable: bool) -> Any:  # noqa: FBT001 - the library's signature
-        """Return rows as lists of lists (RFC 8746, section 3.1.1)."""
+        """Return rows in lists, or in an array (RFC 8746, section 3.1.1)."""
         del immutable
         sizes, items = value
         if not (isinstance(sizes, list) and isinstance(items, list | array | bytes)):
             raise ControlMessageError("an array of several dimensions: expected sizes and items")
-        self._spending.dimensions(sizes, len(items))
+        rows = self._spending.dimensions(sizes, len(items))
+        if self._with_numpy and not isinstance(items, list):
+            try:
+                import numpy as np  # noqa: PLC0415 - only where a message needs it
+            except ImportError:
+                pass
+            else:
+                code = items.typecode if isinstance(items, array) else "B"
+                matrix = np.frombuffer(items, code).reshape(sizes)
+                matrix.flags.writeable = False
+                self.kinds = {*_KINDS, np.ndarray}
+                return matrix
+        self._spending.add(rows + len(items))
         for size in reversed(sizes[1:]):
             items = [list(items[at : at + size]) for at in range(0, len(items), size)]
         return items
@@ -358,14 +378,14 @@ def _refuse(value: Any, immutable: bool) -> Any:  # noqa: FBT001 - the library's
     raise ControlMessageError("a tag that no message has")
 
 
-def _examine(value: Any, spending: BudgetUse) -> None:
+def _examine(value: Any, spending: BudgetUse, allowed: set[type]) -> None:
     """Count what was made, one level of nesting after the other, and refuse what JSON lacks."""
     depth, level = 0, [value]
     while level:
         spending.add(len(level))
         kinds = set(map(type, level))
-        if not kinds <= _KINDS:
-            strange = ", ".join(sorted(kind.__name__ for kind in kinds - _KINDS))
+        if not kinds <= allowed:
+            strange = ", ".join(sorted(kind.__name__ for kind in kinds - allowed))
             raise ControlMessageError(f"a value of type {strange} is no message")
         inner: list[Any] = []
         if not kinds.isdisjoint(_CONTAINERS):

@@ -88,8 +88,10 @@ class Form(ABC):
         """Return a mapping whose values are written already."""
 
     @abstractmethod
-    def read(self, frame: str | bytes | bytearray, spending: BudgetUse) -> Mapping[str, Any]:
-        """Return the fields of a control message, in any thread.
+    def read(
+        self, frame: str | bytes | bytearray, spending: BudgetUse, *, with_numpy: bool = False
+    ) -> Mapping[str, Any]:
+        """Return the fields of a control message, in any thread; `with_numpy` as `read_binary`.
 
         Raises:
             ControlMessageError: it cannot be read, or costs more than its budget.
@@ -131,7 +133,10 @@ class _TextForm(Form):
             pieces += (b"" if len(pieces) == 1 else b",", write_text(name), b":", part)
         return b"".join((*pieces, b"}"))
 
-    def read(self, frame: str | bytes | bytearray, spending: BudgetUse) -> Mapping[str, Any]:
+    def read(
+        self, frame: str | bytes | bytearray, spending: BudgetUse, *, with_numpy: bool = False
+    ) -> Mapping[str, Any]:
+        del with_numpy  # lists are all that JSON has
         if not isinstance(frame, str):
             raise ControlMessageError(
                 f"a binary frame: expected JSON text; offer {BINARY_FORM.subprotocol} for CBOR"
@@ -168,12 +173,14 @@ class _BinaryForm(Form):
     def map_of(self, parts: Mapping[str, bytes]) -> bytes:
         return join_map(parts)
 
-    def read(self, frame: str | bytes | bytearray, spending: BudgetUse) -> Mapping[str, Any]:
+    def read(
+        self, frame: str | bytes | bytearray, spending: BudgetUse, *, with_numpy: bool = False
+    ) -> Mapping[str, Any]:
         if isinstance(frame, str):
             raise ControlMessageError(
                 f"a text frame: expected CBOR; offer {TEXT_FORM.subprotocol} for JSON"
             )
-        return _fields(read_binary(frame, spending))
+        return _fields(read_binary(frame, spending, with_numpy=with_numpy))
 
     def decoding_octets(self, frame: str | bytes) -> int:
         return 0 if isinstance(frame, str) else decoding_octets(frame)

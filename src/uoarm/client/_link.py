@@ -322,9 +322,7 @@ class Link:
         await socket.next_message()  # the greeting of a new session
         options = {"key": self._key, "waiting": waiting}
         await self._write(socket, {**_timed(_RESUME), "jsonMessage": options})
-        while (report := self._form.read(await socket.next_message(), BudgetUse(LARGEST))).get(
-            "id"
-        ) != _RESUME:
+        while (report := self._fields(await socket.next_message())).get("id") != _RESUME:
             self._receive(report)
         message = report.get("jsonMessage")
         if report["op"] != "Reply":
@@ -336,7 +334,10 @@ class Link:
         return ""
 
     def _take_frame(self, frame: Received) -> None:
-        self._receive(self._form.read(frame, BudgetUse(LARGEST)))
+        self._receive(self._fields(frame))
+
+    def _fields(self, frame: Received) -> Mapping[str, Any]:
+        return self._form.read(frame, BudgetUse(LARGEST), with_numpy=True)
 
     def _receive(self, received: Mapping[str, Any]) -> None:
         identity = received.get("id")

@@ -330,18 +330,23 @@ class BudgetUse:
         if levels > self.budget.depth:
             raise ControlMessageError(f"nested more than {self.budget.depth} levels deep")
 
-    def dimensions(self, sizes: Sequence[Any], items: int) -> None:
-        """Check the sizes that an array of several dimensions claims, and count its rows.
+    def dimensions(self, sizes: Sequence[Any], items: int) -> int:
+        """Check the sizes that an array of several dimensions claims.
 
         Done so that no product is taken of numbers that nothing in the message stands for.
 
         Args:
             sizes: one for each dimension, the outermost first.
             items: how many values the array has.
+
+        Returns:
+            How many rows it has, in all of its dimensions.
         """
         if not 1 <= len(sizes) <= self.budget.dimensions:
             most = self.budget.dimensions
             raise ControlMessageError(f"{len(sizes):,} dimensions; 1 to {most} are allowed")
+        if not items and sizes[0] == 0 and all(type(size) is int and size >= 0 for size in sizes):
+            return 1
         count = 1
         rows = 0
         for size in sizes:
@@ -355,7 +360,7 @@ class BudgetUse:
                 break
         if count != items:
             raise ControlMessageError(f"the dimensions do not hold the {items:,} items that came")
-        self.add(rows + items)
+        return rows
 
 
 _STRING = re.compile(r'"[^"]*(?:"|\Z)')
