@@ -199,3 +199,11 @@ test("CBOR that says more than it has takes no memory or time", () => {
   const wide = Uint8Array.from([0xc2, 0x59, 0x10, 0, ...Array(4096).fill(255)]);
   assert.throws(() => decode(wide), /too long/);
 });
+
+test("arrays of several dimensions are lists in lists", () => {
+  const rows = (sizes, items) => decode(Uint8Array.from([0xd8, 40, 0x82, 0x80 + sizes.length, ...sizes, ...items]));
+  assert.deepEqual(rows([1, 2, 3], [0x46, 1, 2, 3, 4, 5, 6]), [[[1, 2, 3], [4, 5, 6]]]);
+  assert.deepEqual(rows([2, 1], [0xd8, 72, 0x42, 255, 1]), [[-1], [1]]);
+  assert.deepEqual(rows([2], [0x82, 1, 2]), [1, 2]);
+  assert.deepEqual(rows([0, 4], [0x40]), []);
+});

@@ -146,7 +146,7 @@ function tagged(tag, value) {
     const size = value.reduce((sum, input) => (sum << 8n) | BigInt(input), 0n);
     return tag === 2 ? narrow(size) : narrow(-1n - size);
   }
-  if (tag === 40) return rows(value[0], Array.from(value[1]));
+  if (tag === 40) return rows(value[0], value[1]);
   const [type, order] = TYPED[tag] ?? [];
   if (!type) throw new RangeError(`CBOR with the tag ${tag}`);
   const copy = value.slice();
@@ -161,11 +161,14 @@ function tagged(tag, value) {
 function rows(sizes, items) {
   const product = sizes.reduce((sum, size) => (Number.isSafeInteger(size) && size >= 0 ? sum * size : NaN), 1);
   if (product !== items.length) throw new RangeError("CBOR of an array that is not of its sizes");
-  for (const size of sizes.slice(1).reverse()) {
-    items = Array.from({ length: items.length / size }, (_, row) =>
-      items.slice(row * size, (row + 1) * size));
-  }
-  return items;
+  let at = 0;
+  const row = (dimension) => {
+    const made = new Array(sizes[dimension]);
+    const isLast = dimension === sizes.length - 1;
+    for (let place = 0; place < made.length; place++) made[place] = isLast ? items[at++] : row(dimension + 1);
+    return made;
+  };
+  return row(0);
 }
 
 function narrow(wide) {
