@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import ssl
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import pytest
+from tests.server.authority import Authority
 from websockets.asyncio.client import connect
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosedError
@@ -21,11 +24,19 @@ Serve = Callable[[ServerConnection], Awaitable[None]]
 
 
 @asynccontextmanager
-async def connected(attend: Serve, silence: float | None = None) -> AsyncIterator[ClientSocket]:
-    async with serve(attend, "127.0.0.1", 0, max_size=None, compression=None) as server:
+async def connected(
+    attend: Serve, silence: float | None = None, authority: Authority | None = None
+) -> AsyncIterator[ClientSocket]:
+    near = far = None
+    if authority is not None:
+        far = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        far.load_cert_chain(authority.issue("server"))
+        near = ssl.create_default_context(cafile=authority.path)
+    async with serve(attend, "127.0.0.1", 0, ssl=far, max_size=None, compression=None) as server:
         port = next(iter(server.sockets)).getsockname()[1]
         opening = connect(
-            f"ws://127.0.0.1:{port}/",
+            f"{'ws' if near is None else 'wss'}://127.0.0.1:{port}/",
+            ssl=near,
             proxy=None,
             max_size=None,
             compression=None,
@@ -52,6 +63,23 @@ async def test_messages_are_handed_over_in_order_those_that_wait_first() -> None
         came: list[Received] = []
         await connection.hand_over(came.append)
         assert came == [*map(str, range(100)), "in three pieces", b"in two"]
+
+
+@pytest.mark.parametrize("in_order", [True, False])
+async def test_what_came_before_the_end_of_tls_is_taken_after_it(
+    in_order: bool, tmp_path: Path
+) -> None:
+    """CPython 3.10 does not say of such a transport that it is closed."""
+
+    async def attend(connection: ServerConnection) -> None:
+        for number in range(3):
+            await connection.send(str(number))
+        if not in_order:
+            connection.transport.abort()
+
+    async with connected(attend, authority=Authority(tmp_path)) as connection:
+        await connection.wait_closed()
+        assert [await connection.next_message() for _ in range(3)] == ["0", "1", "2"]
 
 
 async def test_what_is_read_before_it_is_taken_is_bounded() -> None:

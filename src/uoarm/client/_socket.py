@@ -281,6 +281,8 @@ class ClientSocket(ClientConnection):
                 self._near.close()
                 self._near = None
         super().connection_lost(exc)
+        if not self.transport.is_closing():  # as of TLS with CPython 3.10
+            self.transport.close()
         self._wake()
 
     def process_event(self, event: Event) -> None:

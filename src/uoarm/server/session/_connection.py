@@ -177,6 +177,8 @@ class TurnConnection(ServerConnection):
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)
+        if not self.transport.is_closing():  # as of TLS with CPython 3.10
+            self.transport.close()
         self.protocol.reader.discard()
         self._incoming.drop_unfinished()
         self._count()
