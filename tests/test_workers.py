@@ -7,11 +7,13 @@ import sys
 import threading
 import weakref
 from functools import partial
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
 import pytest
 
+import uoarm
 from uoarm._support import workers
 from uoarm._support.workers import WorkerPool, WorkerPoolClosedError
 from uoarm.testing import ResourceSnapshot, patience, wait
@@ -137,6 +139,23 @@ def test_idle_threads_end_and_new_ones_come() -> None:
         before.check()
     assert len(set(used)) == 3
     assert {thread.name for thread in used} == {"test"}
+
+
+def test_a_thread_that_is_to_wait_for_nothing_ends_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Endless(SimpleQueue[Any]):
+        """With no time left, CPython 3.10 waits without a limit."""
+
+        def get(self, block: bool = True, timeout: float | None = None) -> Any:
+            return super().get(block)
+
+    monkeypatch.setattr(workers, "SimpleQueue", Endless)
+    before = ResourceSnapshot()
+    pool, done = WorkerPool("test", idle_seconds=0), threading.Event()
+    pool.submit(done.set)
+    assert done.wait(patience())
+    before.check()
 
 
 def test_a_call_that_comes_when_a_thread_is_about_to_end_is_done(
@@ -301,3 +320,15 @@ def test_a_thread_that_was_prepared_takes_the_next_call_and_ends_with_the_pool()
     gate.set()
     pool.close()
     before.check()
+
+
+def test_no_wait_that_must_end_is_at_a_simple_queue() -> None:
+    """With no time left, CPython 3.10 to 3.12 may wait there until something is put."""
+    source = Path(uoarm.__file__).parent
+    modules = [*source.rglob("*.py"), *source.parents[1].glob("plugins/*/src/**/*.py")]
+    found = {
+        path.name
+        for path in modules
+        if "SimpleQueue(" in (text := path.read_text()) and ".get(timeout=" in text
+    }
+    assert found == {"workers.py"}  # of whose threads it ends those alone that nothing needs

@@ -13,7 +13,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from typing import Any
 
 from uoarm._forks import default_in_children
@@ -40,7 +40,7 @@ class _MainThread:
     """Waits for the end, and does meanwhile what the kernel takes from the main thread alone."""
 
     def __init__(self) -> None:
-        self._calls: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
+        self._calls: Queue[Callable[[], object] | None] = Queue()
         self.bridge: Bridge | None = None
         self.must_stop = False
 

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from typing import Any
 
 from uoarm._host.transport import keys
@@ -203,8 +203,9 @@ class Heartbeat:
         self._on_doubt = on_doubt
         self._on_silence = on_silence
         self._silence = Silence(silence, time.monotonic())
-        # All else is this thread's alone: other threads hand it answers and the end here.
-        self._answers: SimpleQueue[Any] = SimpleQueue()
+        # All else is this thread's alone: other threads hand it answers and the end here. Not a
+        # SimpleQueue: with no time left, CPython 3.10 to 3.12 may wait there for ever.
+        self._answers: Queue[Any] = Queue()
         self._stopped = False
         self._thread = threading.Thread(
             target=self._run, name=f"uoarm-heartbeat-{name}", daemon=True

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from typing import Any, final
 
 from uoarm._host.transport.codec import Frame, pack
@@ -72,7 +72,7 @@ class SocketTransport(Transport):
 
     def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
         """Send a request and return the answer."""
-        answered: SimpleQueue[Frame | None] = SimpleQueue()
+        answered: Queue[Frame | None] = Queue()
         deadline = time.monotonic() + timeout
         number = self._expect(answered.put)  # before it is sent: the answer may be faster
         try:
