@@ -1,30 +1,35 @@
-"""A WebSocket server that only redirects, as a proxy does for a path without its last slash."""
+"""A server that only redirects, as a proxy does for a path without its last slash."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from unittest.mock import Mock
-
-from websockets.http11 import Request, Response
-from websockets.sync.server import ServerConnection, serve
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 
 @contextmanager
 def redirecting(location: str) -> Iterator[str]:
     """Give the address of a server that redirects to another."""
 
-    def respond(connection: ServerConnection, _: Request) -> Response:
-        response = connection.respond(301, "")
-        response.headers["Location"] = location
-        return response
+    class Redirect(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"  # as WebSocket clients ask for
 
-    with serve(Mock(), "127.0.0.1", 0, process_request=respond) as server:
+        def do_GET(self) -> None:
+            self.send_response(301)
+            self.send_header("Location", location)
+            self.send_header("Content-Length", "0")
+            self.send_header("Connection", "close")
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            """Say nothing of what was asked."""
+
+    with HTTPServer(("127.0.0.1", 0), Redirect) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         try:
-            yield f"ws://127.0.0.1:{server.socket.getsockname()[1]}/ros"
+            yield f"ws://127.0.0.1:{server.server_port}/ros"
         finally:
             server.shutdown()
             thread.join()
