@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -29,6 +30,19 @@ def few() -> Iterator[int]:
     yield from range(5)
 
 
+def none() -> Iterator[int]:
+    yield from ()
+
+
+def wrong() -> Iterator[int]:
+    yield object()
+
+
+def dies() -> Iterator[int]:
+    yield 1
+    raise OSError("the cable is out")
+
+
 def many() -> Iterator[int]:
     for number in itertools.count():
         yield number
@@ -39,6 +53,9 @@ version: 1
 bridges: {python: {}}
 functions:
   few: {components: [{name: few, bridge: python, output: {endpoint: ["parts:few"]}}]}
+  none: {components: [{name: none, bridge: python, output: {endpoint: ["parts:none"]}}]}
+  wrong: {components: [{name: wrong, bridge: python, output: {endpoint: ["parts:wrong"]}}]}
+  dies: {components: [{name: dies, bridge: python, output: {endpoint: ["parts:dies"]}}]}
   many: {components: [{name: many, bridge: python, output: {endpoint: ["parts:many"]}}]}
 """
 
@@ -60,6 +77,30 @@ def test_it_ends_with_its_functions_and_says_what_was_recorded(tmp_path: Path) -
     status = json.loads(done.stdout.splitlines()[-1])
     assert (status["state"], status["channels"][0]["recorded"]) == ("ended", 5)
     assert numbers(tmp_path / "run.mcap", "/few") == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("functions", "code", "says"),
+    [
+        (["none", "few"], 0, ""),
+        (["none"], 4, "nothing was recorded"),
+        (["none", "wrong"], 4, "nothing was recorded"),
+        (["few", "dies"], 4, "dies: .*the cable is out"),
+    ],
+    ids=str,
+)
+def test_functions_that_fail_or_give_nothing_fail_it(
+    tmp_path: Path, functions: list[str], code: int, says: str
+) -> None:
+    words = ["record", "-f", str(make(tmp_path)), *functions, "-o", str(tmp_path / "run.mcap")]
+    done = CliRunner().invoke(main, [*words, "--json"])
+    assert done.exit_code == code, done.output
+    assert re.search(says, done.stderr)
+    status = json.loads(done.stdout.splitlines()[-1])
+    assert status["state"] == "ended"
+    assert all(
+        "cable" in item["failure"] or item["function"] != "dies" for item in status["channels"]
+    )
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -133,7 +174,7 @@ def test_without_a_name_it_is_what_the_configuration_says(tmp_path: Path) -> Non
 def test_what_it_lacks_is_named(tmp_path: Path) -> None:
     file = str(make(tmp_path))
     done = CliRunner().invoke(main, ["record", file, "-o", "x.mcap"])
-    assert (done.exit_code, "has the functions few, many" in done.output) == (2, True)
+    assert (done.exit_code, "has the functions few, none" in done.output) == (2, True)
     done = CliRunner().invoke(main, ["record", file, "few"])
     assert (done.exit_code, "say into which file" in done.output) == (2, True)
     done = CliRunner().invoke(main, ["record", file, "few", "-o", "-"])

@@ -78,7 +78,8 @@ def record(
 
     Until Ctrl-C or SIGTERM, or until all of them have ended. Without a NAME it is what `record:` of
     the configuration says. With --json there is a line of progress each second; the last line says
-    what was recorded and what was lost. The exit code is 4 where the file could not be written on.
+    what was recorded and what was lost. The exit code is 4 where the file could not be written on,
+    a function failed, or nothing came of any.
     """
     with open_robot(file) as robot:
         settings = robot.config.record
@@ -100,10 +101,23 @@ def record(
                 pass
         status = recording.status()
     echo(write_json(to_json(status)) if as_json else summary(status))
-    if status.state == "failed":
-        print_failure(f"the recording ended: {status.cause}", "UOA-810", as_json=False)
+    failure, error_code = _failure(status)
+    if failure:
+        print_failure(failure, error_code, as_json=False)
         sys.exit(BRIDGE)
     sys.exit(0)
+
+
+def _failure(status: RecordingStatus) -> tuple[str, str]:
+    """Return why the recording is not what was asked for, and the code of that; or nothing."""
+    failed = [f"{item.function}: {item.failure}" for item in status.channels if item.failure]
+    if status.state == "failed":
+        return f"the recording ended: {status.cause}", "UOA-810"
+    if failed:
+        return f"what was recorded failed: {'; '.join(failed)}", "UOA-805"
+    if not any(channel.recorded for channel in status.channels):
+        return "nothing was recorded: no function gave a message that can be written", "UOA-001"
+    return "", ""
 
 
 def _follow(recording: Recording, *, as_json: bool) -> None:

@@ -19,6 +19,7 @@ from attrs import define, frozen
 
 from uoarm import cdr
 from uoarm.model import (
+    ConnectionState,
     Gap,
     Message,
     OverflowPolicy,
@@ -49,6 +50,8 @@ class RecordedConnection(Protocol):
     def output(self) -> str | None: ...
     @property
     def gaps(self) -> tuple[Gap, ...]: ...
+    @property
+    def state(self) -> ConnectionState: ...
     @property
     def cause(self) -> str: ...
     @property
@@ -118,6 +121,12 @@ class RecordedFunction:
     definition: str = ""
     connection: RecordedConnection | None = None
     form: ChannelForm | None = None
+
+    @property
+    def failure(self) -> str:
+        """Why the function failed; empty if it has not."""
+        has_failed = self.connection and self.connection.state is ConnectionState.FAILED
+        return self.connection.cause if self.connection and has_failed else ""
 
     def new_gaps(self) -> list[Gap]:
         """Return those since the last that was written. By time: a connection forgets old ones."""

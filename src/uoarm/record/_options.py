@@ -269,6 +269,7 @@ class RecordedChannel:
         recorded: those that were written, or wait in the chunk that is being filled; of a ring,
             those that came into it.
         unwritable: those that have no form in the file.
+        failure: why its function failed; empty where it runs, or has come to an orderly end.
     """
 
     function: str
@@ -277,6 +278,7 @@ class RecordedChannel:
     received: int
     recorded: int
     unwritable: int
+    failure: str = ""
 
 
 @frozen

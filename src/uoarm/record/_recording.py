@@ -155,6 +155,7 @@ class Recording:
                     track.received,
                     track.recorded,
                     track.unwritable,
+                    track.failure,
                 )
                 for track in self._tracks
             ),
