@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from tests.structures import closed
 
-from uoarm._adapt import adapt, check_edge, parse
+from uoarm._adapt import UnfitError, adapt, check_edge, parse
 from uoarm._dataplane import make_check
 from uoarm._encodable import shown
 from uoarm._support.yaml import clip
@@ -90,6 +90,49 @@ def test_bounds_are_changed_with_the_numbers(
     few = {"type": "array", "items": {"type": "integer", **numbers}, "minItems": 1, "maxItems": 3}
     made = adapt(parse({"a": {"from": "a", **rule}}), closed(a=few), ANY).schema
     assert made["properties"]["a"] == {**few, "items": {"type": "integer", **expected}}
+
+
+LARGE = st.builds(
+    lambda base, more, kind: kind(base + more),
+    st.sampled_from([-(10**18), -(2**53), 0, 2**53, 2**60, 2**63]),
+    st.integers(-9, 9),
+    st.sampled_from([int, float]),
+)
+EXACT = st.fixed_dictionaries(
+    {"from": st.just("a")},
+    optional={
+        "scale": st.sampled_from([3, 7, -3, 1000, 0.1, -0.3]),
+        "offset": st.sampled_from([1, -7, 2**53 + 1, 0.5]),
+        "clamp": st.tuples(LARGE, LARGE).map(sorted),
+    },
+)
+
+
+@given(st.sampled_from(["integer", "number"]), LARGE, LARGE, LARGE, EXACT)
+@example("integer", -1e18, 1e18, 10**18, {"from": "a", "offset": 2**53 + 1})
+@example("number", -(2**53) - 6, 0, float(-(2**53) - 6), {"from": "a", "offset": 2**53 + 1})
+@example("number", float(-(2**53) + 4), 0.0, -(2**53) + 4, {"from": "a", "scale": 7})
+def test_bounds_hold_for_whole_numbers_and_floats_beyond_2_53(
+    kind: str, one: float, other: float, number: float, rule: dict[str, Any]
+) -> None:
+    low, high = sorted([one, other])
+    field = {"type": kind, "minimum": low, "maximum": high}
+    try:
+        adapted = adapt(parse({"a": rule}), closed(a=field), ANY)
+    except UnfitError:
+        return
+    emitted = adapted.schema["properties"]["a"]
+    for value in (low, high, number):  # equal ones may be of both types
+        if low <= value <= high:
+            made = adapted.make({"a": value})["a"]
+            assert emitted["minimum"] <= made <= emitted["maximum"]
+
+
+def test_a_clamp_with_ends_that_are_not_whole_keeps_whole_numbers() -> None:
+    rule = {"a": {"from": "a", "clamp": [0.5, 1e300]}}
+    numbers = np.array([0, 2**53 + 1], dtype="int64")
+    make = adapt(parse(rule), closed(a={"type": "array", "items": {"type": "number"}}), ANY).make
+    assert make({"a": numbers})["a"] == make({"a": numbers.tolist()})["a"] == [0.5, 2**53 + 1]
 
 
 OCTETS = {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}}

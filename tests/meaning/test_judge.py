@@ -125,6 +125,57 @@ def test_what_an_object_says_holds_for_what_is_in_it() -> None:
     assert carried.reasons[0].sentence == "the units differ: mm becomes m with scale: 0.001"
 
 
+OWN: list[dict[str, Any]] = [
+    unit("rad"),
+    {"$ref": "#/$defs/angle"},
+    {"anyOf": [unit("rad"), {"type": "null"}]},
+    {"allOf": [unit("rad")]},
+]
+
+
+@pytest.mark.parametrize("field", OWN)
+def test_what_a_map_takes_means_what_it_says_itself_before_what_is_around(field: Any) -> None:
+    whole = {**closed(a=field, b=NUMBER), "x-unit": "m", "$defs": {"angle": unit("rad")}}
+    for name in ("m", "rad"):
+        taken = closed(x={"anyOf": [unit(name), {"type": "null"}]})
+        verdict = edge(whole, taken, {"x": "a"}, allow_loss=("b",))
+        assert verdict.compatible == (name == "rad")
+
+
+@pytest.mark.parametrize("field", OWN[:2])
+def test_a_factor_is_of_the_unit_that_a_value_states_itself(field: Any) -> None:
+    whole = {**closed(a=field), "x-unit": "m", "$defs": {"angle": unit("rad")}}
+    for factor, fits in ((57.3, True), (1, False)):
+        rule = {"x": {"from": "a", "scale": factor}}
+        assert edge(whole, closed(x=unit("deg")), rule).compatible == fits
+
+
+@pytest.mark.parametrize("rule", ["r", {"from": "r", "scale": 1000}])
+def test_what_an_array_says_holds_for_what_a_map_makes_of_its_items(rule: Any) -> None:
+    def rows(name: str, items: Any = NUMBER) -> dict[str, Any]:
+        return closed(r={"type": "array", "items": items, "x-unit": name})
+
+    made, taken = rows("mm"), rows("m")
+    assert not edge(made, taken, {"r": rule}).compatible
+    assert edge(made, taken, {"r": {"from": "r", "scale": 0.001}}).compatible
+    assert pasted(made, taken)({"r": [1500]}) == {"r": [1.5]}
+    assert pasted(*(rows(name, {"type": "array", "items": NUMBER}) for name in ("mm", "m")))(
+        {"r": [[1500], []]}
+    ) == {"r": [[1.5], []]}
+    points = [rows(name, closed(x=NUMBER, y=NUMBER)) for name in ("mm", "m")]
+    wrong = {"r": {"each": "r", "map": {"x": "x", "y": "y"}}}
+    verdict = edge(points[0], points[1], wrong)
+    assert [reason.path for reason in verdict.reasons] == ["r[].x", "r[].y"]
+    assert pasted(*points)({"r": [{"x": 1500, "y": 0}]}) == {"r": [{"x": 1.5, "y": 0}]}
+
+
+def test_what_only_an_adapter_says_is_nothing_that_a_structure_says() -> None:
+    made = {**unit("mm"), "x-scaled": ["1/1000", 0], "x-around": [["x-quantity", "length"]]}
+    for mapping in (None, {"a": "a"}, {"a": {"from": "a", "scale": 1}}):
+        verdict = edge(closed(a=made), closed(a=unit("m")), mapping)
+        assert "mm becomes m" in verdict.reasons[0].sentence
+
+
 def test_a_unit_around_numbers_that_all_state_their_own_is_that_of_none() -> None:
     def around(name: str) -> dict[str, Any]:
         return {**closed(x=unit("m"), n={"type": "string"}), "x-unit": name}

@@ -19,7 +19,7 @@ from uoarm._adapt._mapping import (
     kind_of,
     write_path,
 )
-from uoarm._adapt._numbers import Maker, clamped, scaled
+from uoarm._adapt._numbers import Maker, array_of, clamped, scaled
 from uoarm._encodable import shown
 from uoarm.errors import MessageError
 
@@ -215,10 +215,8 @@ def _each(value: ArrayMapping, source: Structure) -> tuple[SchemaField, Maker]:
     array = source.plain(field.schema, where)
     if kind_of(array) != "array" or "prefixItems" in array or "items" not in array:
         raise UnfitError(where, "each needs an array whose items are all of one structure")
-    inner, make = _object(value.entries, Structure(array["items"], source))
-    bounds = {key: array[key] for key in ("minItems", "maxItems") if key in array}
-    schema = {"type": "array", "items": inner, **bounds}
-    return SchemaField(schema, field.always), each_item(reader(value.source), make)
+    inner, make = _object(value.entries, source.items(array))
+    return SchemaField(array_of(inner, array), field.always), each_item(reader(value.source), make)
 
 
 def _enumerated(
@@ -265,7 +263,10 @@ def _texts_of(value: Any) -> tuple[str, ...]:
 
 
 def _losses(entries: tuple[MappingEntry, ...], source: Structure, prefix: str = "") -> list[str]:
-    """Return the producer's fields that no entry carries over, the outermost of each."""
+    """Return the producer's fields that no entry carries over, the outermost of each.
+
+    Those whose names are not known, but their structure, are `*`.
+    """
     carried = {path for entry in entries if (path := entry.value.source) is not None}
     parts = {path[:end] for path in carried for end in range(len(path) + 1)}
     found: list[str] = []
@@ -277,14 +278,18 @@ def _losses(entries: tuple[MappingEntry, ...], source: Structure, prefix: str = 
             found.append(prefix + write_path(path))
             continue
         try:
-            fields = source.plain(schema, write_path(path)).get("properties", {})
+            plain = source.plain(schema, write_path(path))
         except UnfitError:
             continue
+        fields = plain.get("properties", {})
         waiting.extend(((*path, name), child) for name, child in fields.items())
+        rest = plain.get("patternProperties") or plain.get("additionalProperties")
+        if rest and isinstance(rest, Mapping):
+            found.append(prefix + write_path((*path, "*")))
     for entry in entries:
         if isinstance(entry.value, ArrayMapping):
             array = source.plain(source.at(entry.value.source).schema, "")
-            inner = Structure(array["items"], source)
+            inner = source.items(array)
             where = f"{prefix}{write_path(entry.value.source)}[]."
             found.extend(_losses(entry.value.entries, inner, where))
     return found

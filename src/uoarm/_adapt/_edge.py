@@ -11,7 +11,7 @@ from attrs import evolve, frozen
 
 from uoarm._adapt._adaptation import Adaptation, adapt
 from uoarm._adapt._mapping import MappingError, UnfitError, parse
-from uoarm._adapt._suggest import converting_map, suggest, untried_conversion
+from uoarm._adapt._suggest import converting_map, flow, suggest, untried_conversion
 from uoarm._meaning import (
     JSON_LIMIT,
     OCTETS_LIMIT,
@@ -206,7 +206,7 @@ def _with_losses(
     verdict = _verdict(checked, adapted.losses, allow_loss)
     if not verdict.compatible or not refused:
         return verdict
-    lines = f"allow_loss: [{', '.join((*allow_loss, *refused))}]"
+    lines = f"allow_loss: {flow([*allow_loss, *refused])}"
     reasons = [Reason(f"the map drops the field {refused[0]!r}, which is not allowed",
                       path=refused[0], suggestion=lines, error_code="UOA-225")]  # fmt: skip
     reasons += [

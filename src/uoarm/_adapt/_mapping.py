@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from attrs import field, frozen
 
 from uoarm._encodable import shown
-from uoarm._meaning import INHERITED
+from uoarm._meaning import AROUND, INHERITED, said_around
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
 from uoarm.schema import follow, portable
@@ -234,6 +234,12 @@ def kind_of(schema: Mapping[str, Any]) -> Any:
     return kind
 
 
+def within(around: Mapping[str, Any], schema: Any) -> Any:
+    """Return the schema of a part, with the meaning that is said around it."""
+    said = tuple((key, around[key]) for key in INHERITED if key in around)
+    return {**schema, AROUND: said} if said and isinstance(schema, Mapping) else schema
+
+
 @frozen
 class SchemaField:
     """The schema at a path, and whether every message has it."""
@@ -264,13 +270,17 @@ class Structure:
         Raises:
             UnfitError: it is `true`, `false`, or refers to what is not in the structure.
         """
+        around: dict[str, Any] = {}
         said: dict[str, Any] = {}
         for _ in range(32):
             if not isinstance(schema, Mapping):
                 raise UnfitError(path, "the structure says nothing of this field")
+            around |= said_around(schema)
             said = {key: schema[key] for key in INHERITED if key in schema} | said
             if "$ref" not in schema:
-                return {**schema, **said} if said else schema
+                return {**around, **schema, **said} if said or around else schema
+            if "properties" in schema:
+                raise UnfitError(path, "fields stand beside a reference, which no map takes apart")
             target = follow(self.definitions, schema["$ref"])
             if target is None:
                 raise UnfitError(
@@ -306,8 +316,11 @@ class Structure:
             always = always and part in one.get("required", ())
             said |= {key: one[key] for key in INHERITED if key in one}
             schema = fields[part]
-        has_more = said and isinstance(schema, Mapping)
-        return SchemaField({**said, **schema} if has_more else schema, always)
+        return SchemaField(within(said, schema), always)
+
+    def items(self, array: Mapping[str, Any]) -> Structure:
+        """Return the structure of the items of an array, a plain schema within this one."""
+        return Structure(within(array, array["items"]), self)
 
     def fields(self) -> Mapping[str, Any]:
         """Return the named fields of the whole message, none for what is no object."""

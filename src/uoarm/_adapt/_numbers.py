@@ -11,7 +11,16 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias
 
-from uoarm._adapt._mapping import Clamp, Path, Scale, Structure, UnfitError, kind_of, write_path
+from uoarm._adapt._mapping import (
+    Clamp,
+    Path,
+    Scale,
+    Structure,
+    UnfitError,
+    kind_of,
+    within,
+    write_path,
+)
 from uoarm._meaning import INHERITED, SCALED
 from uoarm.errors import MessageError
 
@@ -34,10 +43,7 @@ def scaled(
 
     def change(plain: Mapping[str, Any]) -> tuple[Any, Maker, Maker]:
         is_whole = kind_of(plain) == "integer" and _is_whole(scale.factor, scale.offset)
-        low, high = _bound(plain, "inimum", scale), _bound(plain, "aximum", scale)
-        if scale.factor < 0:
-            low, high = high, low
-        ends = {"minimum": low, "maximum": high}
+        ends = dict(zip(("minimum", "maximum"), _range(plain, scale), strict=True))
         bounds = {key: end for key, end in ends.items() if end is not None}
         kept = _kept(plain, "x-nonfinite")
         if "x-unit" in kept:
@@ -56,13 +62,10 @@ def clamped(clamp: Clamp, source: Structure, schema: Any, path: Path) -> tuple[A
     """
 
     def change(plain: Mapping[str, Any]) -> tuple[Any, Maker, Maker]:
-        least, most = _bound(plain, "inimum", Scale()), _bound(plain, "aximum", Scale())
-        if kind_of(plain) == "integer":
-            if not _is_whole(clamp.low, clamp.high):
-                text = "clamp needs integers here, since the field is an integer"
-                raise UnfitError(write_path(path), text)
-            least = None if least is None else math.ceil(least)
-            most = None if most is None else math.floor(most)
+        if kind_of(plain) == "integer" and not _is_whole(clamp.low, clamp.high):
+            text = "clamp needs integers here, since the field is an integer"
+            raise UnfitError(write_path(path), text)
+        least, most = _range(plain, Scale())
         low = clamp.low if least is None else min(max(least, clamp.low), clamp.high)
         high = clamp.high if most is None else min(max(most, clamp.low), clamp.high)
         kept = _kept(plain, "x-nonfinite", SCALED)
@@ -80,20 +83,28 @@ def _of_numbers(
 ) -> tuple[Any, Maker]:
     """Change the numbers of a field, which may be in arrays within arrays."""
     where = write_path(path)
-    arrays: list[dict[str, Any]] = []
+    arrays: list[Mapping[str, Any]] = []
     plain = source.plain(schema, where)
     while kind_of(plain) == "array" and "items" in plain and "prefixItems" not in plain:
         if len(arrays) == _MAX_LEVELS:
             raise UnfitError(where, f"{needs} arrays of at most {_MAX_LEVELS} levels")
-        # No more than this stays true of the array: not which values it has, or that none is twice.
-        arrays.append({"type": "array", **_kept(plain, "minItems", "maxItems")})
-        plain = source.plain(plain["items"], where)
+        arrays.append(plain)
+        plain = source.plain(within(plain, plain["items"]), where)
     if kind_of(plain) not in ("integer", "number"):
         raise UnfitError(where, f"{needs} a number or an array of numbers")
     made, make, make_array = change(plain)
     for array in reversed(arrays):
-        made, make = {**array, "items": made}, _in_array(make, make_array)
+        made, make = array_of(made, array), _in_array(make, make_array)
     return made, make
+
+
+def array_of(items: Any, source: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of an array that is made item by item.
+
+    No more than its bounds stays true: not which values it has, or that none is twice.
+    """
+    bounds = {key: source[key] for key in ("minItems", "maxItems") if key in source}
+    return {"type": "array", "items": items, **bounds}
 
 
 def _in_array(make: Maker, make_array: Maker) -> Maker:
@@ -156,8 +167,10 @@ def _clampers(low: float, high: float) -> tuple[Maker, Maker]:
             return value.astype("float64").clip(float(low), float(high))
         if kind in "iu":
             least, most = _limits(value.dtype)
-            if low <= most and high >= least:  # else the ends are not of this width
-                return value.clip(max(low, least), min(high, most))
+            ends = max(low, least), min(high, most)
+            # Else the ends are not of this width, or all would become floats.
+            if low <= most and high >= least and _is_whole(*ends):
+                return value.clip(*ends)
         return None
 
     return number, array
@@ -181,13 +194,34 @@ def _kept(plain: Mapping[str, Any], *keys: str) -> dict[str, Any]:
     return {key: plain[key] for key in (*keys, *INHERITED) if key in plain}
 
 
-def _bound(schema: Mapping[str, Any], ending: str, scale: Scale) -> float | int | None:
-    """Scale a bound by the very arithmetic that messages meet: it is monotone, so it holds."""
+def _range(schema: Mapping[str, Any], scale: Scale) -> tuple[float | None, float | None]:
+    """Scale the bounds by the very arithmetic that messages meet: it is monotone, so they hold."""
+    low = _ends(schema, "inimum", math.ceil, math.inf, scale)
+    high = _ends(schema, "aximum", math.floor, -math.inf, scale)
+    if scale.factor < 0:
+        low, high = high, low
+    return min(low, default=None), max(high, default=None)
+
+
+def _ends(
+    schema: Mapping[str, Any],
+    ending: str,
+    to_whole: Callable[[float], int],
+    inward: float,
+    scale: Scale,
+) -> list[float]:
+    """Scale one bound as a whole number, exactly, and as a float, rounded: messages have either."""
     bound = schema.get(f"m{ending}", schema.get(f"exclusiveM{ending}"))
     if bound is None:
-        return None
+        return []
     try:
-        made: float | int = bound * scale.factor + scale.offset
-        return made if math.isfinite(made) else None
-    except OverflowError:  # beyond the floats: so are the messages, which are refused
-        return None
+        whole = to_whole(bound)
+        if kind_of(schema) == "integer":
+            bound = whole
+        real = float(bound)
+        if real != bound and (real < bound) == (inward > 0):
+            real = math.nextafter(real, inward)
+        made = [number * scale.factor + scale.offset for number in (whole, real)]
+        return made if all(map(math.isfinite, made)) else []
+    except (OverflowError, ValueError):  # beyond the floats: so are the messages, which are refused
+        return []

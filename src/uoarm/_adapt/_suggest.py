@@ -383,8 +383,7 @@ def _fill(
     one = source.plain(source.at(field).schema, where)
     other = target.plain(target.at(field, is_emitted=False).schema, where)
     if all(path[:1] == (_ITEMS,) for path in inside):
-        items = Structure(one["items"], source)
-        taken = Structure(other["items"], target)
+        items, taken = source.items(one), target.items(other)
         inner: dict[str, Any] = {}
         rest = {path[1:]: by for path, by in inside.items()}
         for name in taken.fields():

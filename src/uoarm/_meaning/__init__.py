@@ -1,17 +1,20 @@
 """What numbers, octets and structures mean: read from annotations, compared by path, after fit."""
 
 from uoarm._meaning._judge import (
+    AROUND,
     INHERITED,
     SCALED,
     MeaningDifference,
     judge,
     name_of_type,
+    said_around,
     write_places,
 )
 from uoarm._meaning._sizes import JSON_LIMIT, OCTETS_LIMIT, sizes_of
 from uoarm._meaning._units import Conversion, UnitError, conversion, missing_for_units, unit_mistake
 
 __all__ = [
+    "AROUND",
     "INHERITED",
     "JSON_LIMIT",
     "OCTETS_LIMIT",
@@ -23,6 +26,7 @@ __all__ = [
     "judge",
     "missing_for_units",
     "name_of_type",
+    "said_around",
     "sizes_of",
     "unit_mistake",
     "write_places",

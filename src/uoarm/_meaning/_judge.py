@@ -55,8 +55,11 @@ def _are_alike(one: str, other: str, declared: tuple[frozenset[str], ...]) -> bo
 
 # What an object or an array says of these holds for all within it that says nothing else.
 INHERITED = ("x-unit", "x-quantity", "x-frame", "x-time")
+# Of what an adapter emits, as tuples, which no structure that was read has.
+AROUND = "x-around"
+"""What is said around a value, keyword by keyword; it is of what the value itself does not say."""
 SCALED = "x-scaled"
-"""Of what an adapter emits: the factor and the offset that a number has gone through."""
+"""The factor and the offset that a number has gone through."""
 
 
 Path: TypeAlias = "tuple[str, ...]"
@@ -277,6 +280,7 @@ class _Walk:
             with self._within(one, other):
                 self._compare_views(one, other, path, mine, theirs, covered, found)
             return
+        one = {**said_around(one), **one} if AROUND in one else one
         if not (_WORDS_SAID.isdisjoint(one) and _WORDS_SAID.isdisjoint(other)):
             if "x-type" in one and "x-type" in other:
                 known = self._compare_types(one, other, path, found)
@@ -442,6 +446,12 @@ def _compare_constants(one: Any, other: Any, name: str, path: Path, found: _Find
         found.notes[note] = None
 
 
+def said_around(schema: Said) -> dict[str, Any]:
+    """Return what an adapter found to be said around a value."""
+    said = schema.get(AROUND)
+    return dict(said) if isinstance(said, tuple) else {}
+
+
 def _with_own(around: Said, schema: Said) -> Said:
     """Return what is said of values within a schema: by what is around it, or by itself."""
     if _INHERITED.isdisjoint(schema):
@@ -468,6 +478,7 @@ def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Findin
         return
     reports = f"x-unit {mine}", f"x-unit {theirs}"
     scaled = one.get(SCALED)
+    scaled = scaled if isinstance(scaled, tuple) else None
     try:
         by = conversion(mine, theirs)
     except UnitError as error:
