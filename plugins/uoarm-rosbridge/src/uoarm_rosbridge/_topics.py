@@ -209,6 +209,21 @@ _WISHES_PER_STREAM = 64
 
 
 @define(eq=False)
+class _Published:
+    """What one client publishes on one topic.
+
+    Attributes:
+        publication: takes the messages.
+        is_latched: whether the last message is kept for those who come.
+        advertised: the ids of the advertisements that were not taken back; None: without one.
+    """
+
+    publication: InputPublication | SharedPublication
+    is_latched: bool
+    advertised: set[str | None] = field(factory=set)
+
+
+@define(eq=False)
 class Topics:
     """Publications and subscriptions of one client by topic, in the loop's thread.
 
@@ -229,35 +244,46 @@ class Topics:
     _fail: Callable[[Fields, BaseException], None]
     _warn: Callable[[Fields, str], None]
     _write_failure: Callable[[Fields, BaseException], bytes | None]
-    _publications: dict[str, InputPublication | SharedPublication] = field(factory=dict, init=False)
-    _latched: set[str] = field(factory=set, init=False)
+    _published: dict[str, _Published] = field(factory=dict, init=False)
     _subscriptions: dict[str, RosbridgeSubscription] = field(factory=dict, init=False)
 
     def advertise(self, fields: Fields) -> None:
         """Open a topic for publishing; a function's input, or a topic between clients."""
-        self._open(find_place(fields["topic"]), fields)
+        place = find_place(fields["topic"])
+        advertised, identity = self._open(place, fields).advertised, _identity(fields)
+        if len(advertised) >= _WISHES_PER_STREAM and identity not in advertised:
+            raise LimitError(f"{place.name!r} has {len(advertised)} advertisements of this client")
+        advertised.add(identity)
 
     def unadvertise(self, fields: Fields) -> None:
-        """Close a topic that was advertised, after what was published."""
-        place = find_place(fields["topic"])
-        if place.name not in self._publications:
+        """Take an advertisement back by its id, or all of a topic without one.
+
+        With the last of them the topic is closed, after what was published.
+        """
+        place, identity = find_place(fields["topic"]), _identity(fields)
+        published = self._published.get(place.name)
+        if published is None:
             raise UsageError(f"this client does not publish {place.name!r}")
-        self._latched.discard(place.name)
-        self._publications.pop(place.name).close()
+        others = published.advertised - {identity}
+        if identity is None or not others:
+            self._published.pop(place.name).publication.close()
+        elif identity in published.advertised:
+            published.advertised = others
+        else:
+            raise UsageError(f"this client does not advertise {place.name!r} as {identity!r:.200}")
 
     def publish(self, fields: Fields) -> None:
         """Publish one message; a topic that was not advertised is opened."""
         place, message = find_place(fields["topic"]), fields["msg"]
-        if place.name not in self._publications:
-            self._open(place, fields)
-        publication = self._publications[place.name]
+        published = self._published.get(place.name) or self._open(place, fields)
+        publication = published.publication
         done = partial(self._done, fields)
         if isinstance(publication, InputPublication):
             publication.publish(message, done, self._client.in_hand)
             return
         if not isinstance(message, dict):
             raise ControlMessageError("publish: msg: expected an object")
-        latch = fields.get("latch") is True or place.name in self._latched
+        latch = fields.get("latch") is True or published.is_latched
         account = self._client.account if latch else None
         publication.publish(message, done, self._client.in_hand, account)
 
@@ -290,9 +316,9 @@ class Topics:
 
     def close(self) -> None:
         """Give everything back."""
-        for publication in self._publications.values():
-            publication.abandon()
-        self._publications.clear()
+        for published in self._published.values():
+            published.publication.abandon()
+        self._published.clear()
         for name in list(self._subscriptions):
             self._stop(find_place(name))
 
@@ -302,26 +328,27 @@ class Topics:
         if sum(len(subscription.asked) for subscription in self._subscriptions.values()) >= most:
             raise LimitError(f"{most} subscriptions are held already; end one first")
 
-    def _open(self, place: NamedPort, fields: Fields) -> None:
+    def _open(self, place: NamedPort, fields: Fields) -> _Published:
         self._client.require(Operation.SEND, place.right)
-        if place.name in self._publications:
-            return
-        if len(self._publications) >= self._client.limits.streams:
+        known = self._published.get(place.name)
+        if known is not None:
+            return known
+        if len(self._published) >= self._client.limits.streams:
             raise LimitError(f"{self._client.limits.streams} topics are published already")
+        publication: InputPublication | SharedPublication
         if place.function:
             if place.function not in self._backend.robot.config.functions:
                 raise UsageError(f"there is no function {place.function!r}")
             failed = partial(self._publication_failed, place, fields)
-            self._publications[place.name] = publish_into(
-                place, _type_in(fields), self._backend, self._client, failed
-            )
+            publication = publish_into(place, _type_in(fields), self._backend, self._client, failed)
         else:
-            self._publications[place.name] = SharedPublication(
+            publication = SharedPublication(
                 place.name, _type_in(fields), self._hub, self._backend, self._client
             )
             self._hint(place, Role.INPUT, fields)
-        if fields.get("latch") is True:
-            self._latched.add(place.name)
+        published = _Published(publication, fields.get("latch") is True)
+        self._published[place.name] = published
+        return published
 
     def _hint(self, place: NamedPort, role: Role, fields: Fields) -> None:
         """Report to the client where a function is which it asks for by its own address."""
@@ -330,7 +357,7 @@ class Topics:
             self._warn(fields, hint)
 
     def _publication_failed(self, place: NamedPort, fields: Fields, error: BaseException) -> None:
-        self._publications.pop(place.name, None)
+        self._published.pop(place.name, None)
         self._fail(fields, error)
 
     def _listen(

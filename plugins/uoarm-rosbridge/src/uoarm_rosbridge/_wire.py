@@ -6,6 +6,7 @@ the infinities are null. Octets are base64 in both.
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 import threading
@@ -258,8 +259,14 @@ _FASTEST = 1
 
 
 def write_publish_png(topic: str, number: int, message: Message) -> bytes:
-    """Return a png message that holds a publish message; raises as `write_publish`."""
-    picture = _picture(write_publish(topic, number, message))
+    """Return a png message that holds a publish message; raises as `write_publish`.
+
+    Its text is ASCII: roslibjs makes a character of each octet.
+    """
+    text = write_publish(topic, number, message)
+    if not text.isascii():
+        text = json.dumps(json.loads(text)).encode()
+    picture = _picture(text)
     return b'{"op":"png","data":"' + b64encode(picture) + b'"}'
 
 
