@@ -145,7 +145,8 @@ def test_the_other_byte_order_and_the_packed_form_are_read() -> None:
 
 
 def test_a_definition_of_ros_1_has_its_own_types() -> None:
-    text = f"Header header\nbyte level\ntime at\n{RULE}\nMSG: std_msgs/Header\nuint32 seq\n"
+    text = "Header header\nbyte level  # \u2028 \x0c \x85 end no line\ntime at\n"
+    text += f"{RULE}\nMSG: std_msgs/Header\nuint32 seq\n"
     structure = structure_of_definition(RosDefinition("lab/One", text), is_ros_1=True)
     schema: Any = structure.schema
     assert structure.native_type == "lab/One"

@@ -53,7 +53,7 @@ from uoarm.model import Budget, Health
 from uoarm.testing import instances
 
 MANY = """
-# Everything that a message of ROS 1 may hold.
+# Everything that a message of ROS 1 may hold. \u2028 \x0b \x0c \x1c \x85 end no line of it.
 uint8 LIMIT=7
 string NAME=a # is no comment
 float32 RATIO = 0.5

@@ -139,7 +139,7 @@ class _Definitions:
             raise MessageError(f"{holder}: {name} is not defined with it, or holds itself")
         properties: dict[str, Any] = {}
         constants: dict[str, Any] = {}
-        for line in text.splitlines():
+        for line in text.split("\n"):
             content = line.strip()
             if not content or content.startswith("#"):
                 continue

@@ -244,7 +244,7 @@ class _Reading:
 
 
 def _lines(name: str, text: str) -> Iterator[_Line]:
-    for number, original in enumerate(text.splitlines(), 1):
+    for number, original in enumerate(text.split("\n"), 1):
         line = original.split("#", 1)[0].strip()
         if not line:
             continue

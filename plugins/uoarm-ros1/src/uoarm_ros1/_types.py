@@ -272,7 +272,7 @@ def _noetic():  # type: ignore[no-untyped-def]  # noqa: ANN202 - a class of rosb
 def _types_within(name: str, text: str) -> list[str]:
     """Return the message types that one holds, by their full names."""
     found = []
-    for line in text.splitlines():
+    for line in text.split("\n"):
         word = line.split("#", 1)[0].strip().split(" ", 1)[0].partition("[")[0]
         if not word or not word[0].isalpha():
             continue
