@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any, cast
 
 import pytest
@@ -151,6 +152,24 @@ def test_a_parameter_is_watched_over_the_death_of_its_master(tmp_path: Any) -> N
             reports.wait(Health.OK, "answers again")
             peer.do("set_param", name="/speed", value=2)
             assert collector.wait(2, patience()) == [1, 2]
+
+
+def test_what_is_opened_before_the_look_at_a_new_master_hides_nothing_from_it(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running(tmp_path / "master") as world, bridge_to(world) as bridge:
+        watching: Any = bridge
+        bridge.open_source(output("/before", INT, peer="optional"), ANY, print)
+        wait(lambda: watching._master_health.is_up, "the master was not asked", patience())
+        is_between = threading.Event()
+        monkeypatch.setattr(bridge, "_look_at_master", is_between.set)
+        assert is_between.wait(patience())
+        world.kill()
+        world.start()
+        bridge.open_source(output("/since", INT, peer="optional"), ANY, print)
+        assert watching._node.is_known()
+        monkeypatch.undo()
+        wait(lambda: "/before" in registered(watching._node), "it is not known", patience())
 
 
 def test_a_parameter_that_is_found_twice_was_set_once(tmp_path: Any) -> None:

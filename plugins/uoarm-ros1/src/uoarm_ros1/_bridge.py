@@ -77,6 +77,7 @@ class Ros1Bridge(Bridge):
         identity = NodeIdentity.of(name, options, os.environ)
         self._node = Node(identity, options, self._asked_to_end)
         self._master_health, self._lost = MasterHealth(), LostComponents()
+        self._master_process: object = None  # which has all registrations
         self._callers: dict[tuple[str, str], Caller | ActionCaller] = {}
         # Guards the callers, and what was lost, between steps and the watch.
         self._table_lock = threading.Lock()
@@ -460,9 +461,12 @@ class Ros1Bridge(Bridge):
     def _look_at_master(self) -> None:
         node, health = self._node, self._master_health
         try:
-            node.master.call("getPid")
-            if node.is_registered and not node.is_known():
+            process = node.master.call("getPid")
+            # What was opened since a master was started again is known to it, and nothing else.
+            is_another = self._master_process not in (None, process)
+            if node.is_registered and (is_another or not node.is_known()):
                 node.register_again()
+            self._master_process = process
             for own in (self._rosout, self._clock):
                 if own is not None:
                     own.open()
