@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -73,6 +75,24 @@ def install_command(name: str, extra: str = "") -> str:
     if brought is not None and installed(brought) is None and origin_of(brought) is not None:
         wanted.append(_argument(brought, ""))
     return f"pip install {' '.join(wanted)}"
+
+
+@contextmanager
+def requiring(extra: str, what: str) -> Iterator[None]:
+    """Import what needs an extra; where one of its packages is missing, the error says so.
+
+    Args:
+        extra: of the core.
+        what: needs it, for the error's text.
+
+    Raises:
+        ImportError: as the import has it, but with the command that installs the extra.
+    """
+    try:
+        yield
+    except ImportError as error:
+        text = f"{what} needs: {install_command(_CORE, extra)} ({error})"
+        raise type(error)(text, name=error.name, path=error.path) from error
 
 
 def _argument(name: str, extra: str) -> str:

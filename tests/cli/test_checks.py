@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 import pytest
 from attrs import evolve
+from tests.processes import run_python
 
 from uoarm import _checks
 from uoarm._checks import plugin_facts
@@ -68,3 +69,22 @@ def test_their_findings_are_shown_and_failures_named(monkeypatch: pytest.MonkeyP
     assert "bridge type 'python'" in facts["check mine"]["usable"]
     assert "ModuleNotFoundError" in facts["check gone"]["usable"]
     assert "implements no uoarm_checks hook" in facts["check silent"]["usable"]
+
+
+@pytest.mark.parametrize("module", ["uoarm.client", "uoarm.server", "uoarm.server.front_end"])
+@pytest.mark.parametrize("package", ["cbor2", "orjson", "websockets"])
+def test_without_the_extra_the_import_says_what_installs_it(module: str, package: str) -> None:
+    lacking = f"import sys; sys.modules[{package!r}] = None; "
+    done = run_python("-c", f"{lacking}import {module}")
+    last = done.stderr.splitlines()[-1]
+    whole = module.removesuffix(".front_end")
+    assert last.startswith(f"ModuleNotFoundError: {whole} needs: pip install ")
+    assert "[server]" in last
+    assert package in last
+
+
+def test_a_command_says_it_once() -> None:
+    lacking = "import sys; sys.modules['cbor2'] = None; from uoarm.cli import main; "
+    done = run_python("-c", f"{lacking}main(['list', '--url', 'ws://127.0.0.1:9'])")
+    assert done.returncode == 4
+    assert done.stderr.count("pip install") == 1

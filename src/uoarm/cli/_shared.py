@@ -195,8 +195,10 @@ def needing(extra: str) -> Iterator[None]:
     except ImportError as error:
         from uoarm._origin import install_command  # noqa: PLC0415 - when first needed
 
+        # Of a package that says so itself, this is of what is missing.
+        cause = error.__cause__ if isinstance(error.__cause__, ImportError) else error
         command = install_command("uoarm", extra)
-        text = f"this needs: {command} ({error})"
+        text = f"this needs: {command} ({cause})"
         raise errors.PluginError(text, error_code="UOA-302") from error
 
 

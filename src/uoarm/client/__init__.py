@@ -3,11 +3,14 @@
 Needs the packages of the extra `server`.
 """
 
-from uoarm.client._answers import ServerError
-from uoarm.client._client import RemoteRobot
-from uoarm.client._connect import ServerAddress, connect, trust_fingerprint
-from uoarm.client._questions import ThreadAnswer
-from uoarm.client._stream import RemoteStream
+from uoarm._origin import requiring
+
+with requiring("server", "uoarm.client"):
+    from uoarm.client._answers import ServerError
+    from uoarm.client._client import RemoteRobot
+    from uoarm.client._connect import ServerAddress, connect, trust_fingerprint
+    from uoarm.client._questions import ThreadAnswer
+    from uoarm.client._stream import RemoteStream
 
 __all__ = [
     "RemoteRobot",
