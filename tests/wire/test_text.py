@@ -309,3 +309,55 @@ def test_what_stands_beside_a_reference_or_a_choice_is_read_too(schema: dict[str
     reader = make_reader({**schema, "$defs": {"a": other, "turning": turning}})
     assert reader is not None
     assert reader({"own": "AQ==", "other": "Ag=="}) == {"own": b"\x01", "other": b"\x02"}
+
+
+def tagged(kind: str, **fields: Any) -> dict[str, Any]:
+    return closed(kind={"const": kind}, **fields)
+
+
+TEXT: dict[str, Any] = {"type": "string"}
+WIDE: dict[str, Any] = {"type": "integer"}
+CHOICES: list[tuple[dict[str, Any], list[Any]]] = [
+    (
+        {"anyOf": [tagged("a", x=OCTETS), tagged("b", y=OCTETS), tagged("c", x=TEXT), TEXT]},
+        [
+            {"kind": "a", "x": b"abc"},
+            {"kind": "b", "y": b"abc"},
+            {"kind": "c", "x": "auto"},
+            "auto",
+        ],
+    ),
+    (
+        {"oneOf": [{"$ref": "#/$defs/a"}, {"allOf": [{"$ref": "#/$defs/b"}]}],
+         "$defs": {"a": closed(x=OCTETS), "b": closed(x=OCTETS, y=WIDE)}},
+        [{"x": b"abc"}, {"x": b"abc", "y": 2**60}],
+    ),
+    ({"anyOf": [WIDE, NUMBER]}, [2**60, 1e300, math.inf, 2.0**53, 0.5]),
+    ({"anyOf": [WIDE, OCTETS]}, [b"", b"auto", 2**60, 7]),
+    ({"anyOf": [OCTETS, {"enum": ["auto"]}, {"type": "array", "items": TEXT}]},
+     [b"abc", "auto", ["auto"]]),
+    ({"anyOf": [{"type": "array", "items": OCTETS}, {"items": tagged("a", x=WIDE)}]},
+     [[b"a"], [{"kind": "a", "x": 2**60}]]),
+    ({"type": ["integer", "null"]}, [2**60, -5, None]),
+    ({**NUMBER, "type": ["number", "array"], "items": WIDE}, [math.inf, 0.5, [2**60]]),
+    ({"enum": [2**60, -(2**60), "12", None, 10**5000]}, [2**60, -(2**60), "12", None]),
+    ({"anyOf": [{"const": 2**60}, OCTETS]}, [2**60, b"ab"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("schema", "values"), CHOICES)
+def test_a_choice_is_read_as_what_was_written(schema: Any, values: list[Any]) -> None:
+    reader = make_reader(closed(v=schema) | {"$defs": schema.get("$defs", {})})
+    assert reader is not None
+    for value in values:
+        parsed = json.loads(write_text({"v": value}))
+        assert same(reader(parsed), {"v": value})
+        if schema.get("enum", [])[-1:] != [10**5000]:
+            Draft202012Validator(text_schema(schema)).validate(parsed["v"])
+
+
+def test_a_choice_whose_references_go_in_a_circle_has_an_end() -> None:
+    around = {"anyOf": [{"$ref": "#/$defs/a"}, {"$ref": "#/$defs/b"}, OCTETS], "required": ["c"]}
+    reader = make_reader({**around, "$defs": {"a": around, "b": around}})
+    assert reader is not None
+    assert reader({"a": 1}) == {"a": 1}

@@ -41,6 +41,7 @@ _MAX_DEPTH = 64
 _MOST_PARTS = 10_000
 _SHOWN = 100
 _DIGITS = re.compile(r"-?(0|[1-9][0-9]{0,999})\Z")
+_MOST_DIGITS = 10**1000
 _NO_BASE64 = re.compile(r"[^A-Za-z0-9+/]")
 _NAMES = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
 
@@ -247,6 +248,8 @@ def text_schema(schema: Schema, depth: int = 0) -> Schema:
     if schema.get("x-octets") is True:
         return {"type": "string", "contentEncoding": "base64", "x-octets": True}
     copied = change_parts(schema, lambda part: text_schema(part, depth + 1))
+    if digits := _wide_values(schema):
+        return {"anyOf": [copied, {"enum": list(digits)}]}
     if _is_wide(schema):
         return {"anyOf": [copied, {"type": "string", "pattern": "^-?(0|[1-9][0-9]*)$"}]}
     if schema.get("x-nonfinite"):
@@ -366,18 +369,21 @@ class _Compiler:
         parts = _sequence(schema.get("allOf"))
         readers += [self.reader(part, depth + 1, around) for part in parts]
         choices = (_sequence(schema.get(key)) for key in ("anyOf", "oneOf"))
-        readers += [self._first(branches, depth, around) for branches in choices]
+        readers += [self._choice(branches, depth, around) for branches in choices]
         every = [reader for reader in readers if reader is not None]
         return every[0] if len(every) == 1 else partial(_in_turn, every) if every else None
 
     def _own(self, schema: Mapping[str, object], depth: int) -> Reader | None:
         if schema.get("x-octets") is True:
             return _octets
-        if schema.get("type") == "integer":
-            return _integer
-        if schema.get("type") == "number":
-            return _number
-        return self._inside(schema, depth)
+        if digits := _wide_values(schema):
+            return lambda value: digits.get(value, value) if isinstance(value, str) else value
+        kinds = _kinds(schema)
+        of_numbers = _number if "number" in kinds else _integer if "integer" in kinds else None
+        inside = self._inside(schema, depth)
+        if of_numbers is None or "string" in kinds:
+            return inside
+        return of_numbers if inside is None else partial(_in_turn, (of_numbers, inside))
 
     def _inside(self, schema: Mapping[str, object], depth: int) -> Reader | None:
         fields = {
@@ -394,16 +400,73 @@ class _Compiler:
             return lambda value: _array(value, heads, items)
         return None
 
-    def _first(
+    def _choice(
         self, branches: Sequence[object], depth: int, around: frozenset[str]
     ) -> Reader | None:
-        """Use the branch that converts, unless a branch takes strings as they are."""
-        if any(
-            isinstance(branch, Mapping) and branch.get("type") == "string" for branch in branches
-        ):
+        """Read a value as the first branch that it may be of; texts are left where one has them."""
+        readers = [self.reader(branch, depth + 1, around) for branch in branches]
+        if not any(readers):
             return None
-        readers = (self.reader(branch, depth + 1, around) for branch in branches)
-        return next((reader for reader in readers if reader is not None), None)
+        ways = [
+            (branch, reader)
+            for branch, reader in zip(branches, readers, strict=True)
+            if reader is not None or not _kinds(branch) or _kinds(branch) - _UNREAD
+        ]
+        if len(ways) == 1:  # beside null, mostly
+            return ways[0][1]
+        has_texts = any("string" in _kinds(branch) for branch in branches)
+        texts = [text for branch in branches for text in _values(branch)]
+
+        def read(value: Message) -> Message:
+            if isinstance(value, str) and (has_texts or value in texts):
+                return value
+            wrong: _UnwritableTextError | None = None
+            steps = itertools.count()
+            for branch, reader in ways:
+                if self._may_be(branch, value, steps, 0):
+                    try:
+                        return value if reader is None else reader(value)
+                    except _UnwritableTextError as error:
+                        wrong = wrong or error
+            if wrong is not None:
+                raise wrong
+            return value
+
+        return read
+
+    def _may_be(self, schema: object, value: Any, steps: Iterator[int], depth: int) -> bool:
+        """Say whether JSON text may be of a schema, by its kind, its names and its tags."""
+        if not isinstance(schema, Mapping):
+            return schema is not False  # nor is what is not stated
+        is_outside = document_of(schema, self._root) is not self._root
+        if is_outside or depth > _MAX_DEPTH or next(steps) > _MOST_PARTS:
+            return True
+        kinds = _OCTET_KINDS if schema.get("x-octets") is True else _kinds(schema)
+        if kinds and kinds.isdisjoint(_KINDS.get(value.__class__, ())):
+            return False
+        values = _values(schema)
+        is_digits = isinstance(value, str) and value in _wide_values(schema)
+        if values and value not in values and not is_digits:
+            return False
+        parts = [(part, value) for part in _sequence(schema.get("allOf"))]
+        if isinstance(reference := schema.get("$ref"), str):
+            parts.append((follow(self._root, reference), value))
+        if isinstance(value, dict):
+            fields = _mapping(schema.get("properties"))
+            is_closed = schema.get("additionalProperties") is False
+            if is_closed and "patternProperties" not in schema and value.keys() - fields.keys():
+                return False
+            if not value.keys() >= {*_sequence(schema.get("required"))}:
+                return False
+            parts += [(part, value[name]) for name, part in fields.items() if name in value]
+        elif isinstance(value, list) and value:  # the first is like the rest, mostly
+            heads = _sequence(schema.get("prefixItems"))
+            parts.append((heads[0] if heads else schema.get("items"), value[0]))
+        return all(self._may_be(part, item, steps, depth + 1) for part, item in parts) and all(
+            any(self._may_be(part, value, steps, depth + 1) for part in _sequence(schema[key]))
+            for key in ("anyOf", "oneOf")
+            if key in schema
+        )
 
     def _referred(self, reference: str, depth: int, around: frozenset[str]) -> Reader | None:
         known = self._references
@@ -499,8 +562,43 @@ def _number(value: Any) -> Any:
     raise _UnwritableTextError(f"expected a number or {', '.join(_NAMES)}, got {value[:40]!r}")
 
 
+# Of which schema each value of JSON may be: texts stand for numbers, too.
+_KINDS: Mapping[type, frozenset[str]] = {
+    type(None): frozenset({"null"}),
+    bool: frozenset({"boolean"}),
+    int: frozenset({"integer", "number"}),
+    float: frozenset({"integer", "number"}),
+    str: frozenset({"string", "integer", "number"}),
+    list: frozenset({"array"}),
+    dict: frozenset({"object"}),
+}
+_OCTET_KINDS = frozenset({"string", "array"})
+_UNREAD = frozenset({"null", "boolean"})
+
+
+def _kinds(schema: object) -> frozenset[object]:
+    kind = _mapping(schema).get("type")
+    return frozenset({kind} if isinstance(kind, str) else _sequence(kind))
+
+
+def _values(schema: object) -> list[object]:
+    """Return the only values of a schema; none where it names none."""
+    mapping = _mapping(schema)
+    return [mapping["const"]] if "const" in mapping else _sequence(mapping.get("enum"))
+
+
+def _wide_values(schema: object) -> dict[str, int]:
+    """Return those that are integers beyond 53 bits, as far as digits say them, by these."""
+    return {
+        str(value): value
+        for value in _values(schema)
+        if value.__class__ is int and SAFE_INTEGER < abs(value) < _MOST_DIGITS
+    }
+
+
 def _is_wide(schema: Mapping[str, object]) -> bool:
-    if schema.get("type") != "integer":
+    kinds = _kinds(schema)
+    if "integer" not in kinds or "string" in kinds:
         return False
     low, high = schema.get("minimum"), schema.get("maximum")
     inside = isinstance(low, int | float) and isinstance(high, int | float)
