@@ -12,8 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from messages import MESSAGE_TYPES, messages_of, plain, same
 from rclpy.serialization import deserialize_message, serialize_message
+from rosidl_parser.definition import Array, BasicType, BoundedSequence, BoundedWString
 from uoarm_ros2._conversion import reader, writer
-from uoarm_ros2._types import RecordType, import_type, shape_of
+from uoarm_ros2._types import RecordType, import_type, shape_of, type_hash
 
 from uoarm.errors import BridgeError, FailureReason, MessageError
 
@@ -210,6 +211,37 @@ def test_octets_come_in_every_form(field: str, octets: object) -> None:
     written: object = writer(shape)(_unbounded(**{field: octets}))
     native: Any = deserialize_message(serialize_message(written), shape.native)
     assert bytes(reader(shape)(native)[field]) == b"\0\xff"
+
+
+class Odd:
+    """As rosidl makes it of an `.idl` file."""
+
+    __slots__ = ("_cs", "_letter", "_o", "_two", "_w")
+    SLOT_TYPES = (
+        BasicType("char"),
+        BasicType("octet"),
+        BoundedWString(4),
+        BoundedSequence(BasicType("char"), 3),
+        Array(BasicType("char"), 2),
+    )
+
+    @staticmethod
+    def get_fields_and_field_types() -> dict[str, str]:
+        return dict.fromkeys(("letter", "o", "w", "cs", "two"), "")
+
+
+def test_a_character_of_an_idl_file_is_an_octet_and_in_python_a_text() -> None:
+    """Of a number in its place the generated code ends the process."""
+    shape = shape_of(Odd, "odd_msgs/msg/Odd")
+    digits = "eb2d4676546eb03c06d7df30df594c1f1c472bb4cb2ee2df0d40873b63bee6df"
+    assert type_hash(shape) == f"RIHS01_{digits}", "as rosidl has it"
+    message = {"letter": 65, "o": 1, "w": "ab", "cs": b"B", "two": b"CD"}
+    native: Any = writer(shape)(message)
+    assert (native._letter, native._cs, native._two) == ("A", ["B"], ["C", "D"])
+    assert reader(shape)(native) == message
+    for field, value in (("letter", 128), ("letter", "A"), ("cs", b"\x80"), ("two", [1, 2, 3])):
+        with pytest.raises(MessageError, match=f"field {field}"):
+            writer(shape)({**message, field: value})
 
 
 def test_lengths_are_kept() -> None:

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from endpoints import write
 from uoarm_ros2._schema import describe_action, describe_service, structure_of
-from uoarm_ros2._types import import_type, shape_of
-from uoarm_ros2.definitions import RosDefinitions, read_definitions
+from uoarm_ros2._types import import_type, shape_of, type_hash
+from uoarm_ros2.definitions import DefinitionReader, RosDefinitions, read_definitions
 
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
@@ -184,6 +184,14 @@ def test_constants_of_idl_files_are_read_as_idl_has_them(tmp_path: Path) -> None
     constants = 'const long A = 010; const float B = 1; const string C = "010";'
     schema: Any = idl(tmp_path, constants).structures["p/msg/A"].schema
     assert schema["x-constants"] == {"A": 8, "B": 1.0, "C": "010"}
+
+
+def test_a_character_of_an_idl_file_is_none_of_a_message_file(tmp_path: Path) -> None:
+    idl(tmp_path, "const long A = 1;", "char letter;")
+    reading = DefinitionReader()
+    reading.take(tmp_path)
+    digits = "4b7caf429aa0d57c9e1d9465f027fdec930c22db8f48c1c0c66a2bde34c33711"
+    assert type_hash(reading.record("p/msg/A")) == f"RIHS01_{digits}", "as rosidl has it"
 
 
 def test_without_the_extra_msg_files_are_read_and_idl_files_say_what_to_install(

@@ -90,7 +90,7 @@ def _read_value(shape: Shape, place: str, source: FunctionBuilder, fresh: count[
         return _read_array(shape, place, source)
     if shape == ScalarType("byte"):
         return f"{place}[0]"
-    return place
+    return f"ord({place})" if shape == ScalarType("char") else place
 
 
 def _read_array(listing: ArrayType, place: str, source: FunctionBuilder) -> str:
@@ -98,6 +98,8 @@ def _read_array(listing: ArrayType, place: str, source: FunctionBuilder) -> str:
         return f"[{source.constant(reader(listing.element))}(element) for element in {place}]"
     if listing.element == ScalarType("byte"):
         return f"b''.join({place})"
+    if listing.element == ScalarType("char"):
+        return f"bytes(map(ord, {place}))"
     if listing.element == ScalarType("uint8"):
         return f"memoryview({place}).toreadonly()"
     return place
@@ -121,6 +123,8 @@ def checker(shape: ScalarType | StringType) -> Callable[[Message], object]:
         return partial(_wide_text if shape.wide else _text, shape.bound)
     if shape.name == "bool":
         return _truth
+    if shape.name == "char":
+        return _character
     limits = integer_range(shape.name)
     if limits is None:
         return _float32 if shape.name == "float32" else _float64
@@ -143,6 +147,11 @@ def _integer(name: str, least: int, greatest: int, value: Message) -> int:
 
 def _byte(value: Message) -> bytes:
     return bytes((_integer("byte", 0, 255, value),))
+
+
+def _character(value: Message) -> str:
+    # Of one above, ROS 2 would send another octet: the first of its UTF-8.
+    return chr(_integer("char", 0, 127, value))
 
 
 def _truth(value: Message) -> bool:
@@ -204,8 +213,10 @@ def taker(listing: ArrayType) -> Callable[[Message], object]:
     counted = _counter(listing)
     if isinstance(listing.element, ScalarType) and listing.element.name in NUMBER_CODES:
         return _buffers(listing.element.name, counted, fixed=listing.fixed)
-    if isinstance(listing.element, ScalarType) and listing.element.name == "byte":
+    if isinstance(listing.element, ScalarType) and listing.element.name in {"byte", "char"}:
         octets = _buffers("uint8", counted, fixed=False)
+        if listing.element.name == "char":
+            return lambda value: _checked(memoryview(octets(value)), _character)  # type: ignore[arg-type]  # a buffer
         return lambda value: [bytes((number,)) for number in memoryview(octets(value))]  # type: ignore[arg-type]  # a buffer
     assert isinstance(listing.element, ScalarType | StringType)
     return _items(listing.element, counted)
@@ -390,7 +401,7 @@ def _doubt(shape: ScalarType | StringType, value: str) -> str:
         return doubt if shape.bound is None else f"{doubt} or len({value}) > {shape.bound}"
     if shape.name == "bool":
         return f"type({value}) is not bool"
-    if shape.name == "byte":
+    if shape.name in {"byte", "char"}:
         return "True"
     limits = integer_range(shape.name)
     if limits is not None:

@@ -80,7 +80,7 @@ def _array(listing: ArrayType, unit: str | None) -> dict[str, Any]:
         schema["maxItems"] = listing.size
         if listing.fixed:
             schema["minItems"] = listing.size
-    if listing.element in {ScalarType("uint8"), ScalarType("byte")}:
+    if listing.element in {ScalarType("uint8"), ScalarType("byte"), ScalarType("char")}:
         schema["x-octets"] = True
     return schema
 

@@ -81,11 +81,11 @@ NUMBER_CODES = {name: code for name, code in BASIC.items() if name not in _NO_NU
 """How `array` and `struct` call the elements of a block of numbers."""
 
 _MAX_DEPTH = 32
-_OCTETS = frozenset({"byte", "int8", "uint8"})
+_OCTETS = frozenset({"byte", "char", "int8", "uint8"})
 _SCALARS = {
     "boolean": "bool",
     "octet": "byte",
-    "char": "uint8",
+    "char": "char",
     "float": "float32",
     "double": "float64",
     **{f"{sign}int{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
@@ -94,7 +94,10 @@ _SCALARS = {
 
 @frozen
 class ScalarType:
-    """A truth value, a byte, an integer or a float; `name` as in a ROS message file."""
+    """A truth value, a byte, an integer or a float; `name` as in a ROS message file.
+
+    A `char` is that of an `.idl` file, a text in Python; that of a message file is an `uint8`.
+    """
 
     name: str
 
@@ -272,12 +275,11 @@ SCALARS = {
     9: "uint64",
     10: "float32",
     11: "float64",
-    13: "uint8",
+    13: "char",
     15: "bool",
     16: "byte",
 }
-_CHAR = 13  # an `.idl` may have it; `.msg` files call an octet so, which is number 3
-_NUMBERS = {name: number for number, name in SCALARS.items() if number != _CHAR}
+_NUMBERS = {name: number for number, name in SCALARS.items()}
 _TEXT_NUMBERS = {(wide, number in BOUNDED_TEXTS): number for number, wide in TEXTS.items()}
 _ARRAY, _BOUNDED, _UNBOUNDED = 1, 2, 3
 

@@ -51,7 +51,7 @@ _MAX_OCTETS = 1 << 20
 _MAX_DEPTH = 32
 _MAX_FIELDS = 20_000
 _INCLUDE = re.compile(r"^\s*#\s*include\b.*$", re.MULTILINE)
-_SCALARS = frozenset({"bool", "byte", "float32", "float64"}) | {
+_SCALARS = frozenset({"bool", "byte", "char", "float32", "float64"}) | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 
@@ -302,8 +302,6 @@ def _kind(field: Any) -> ParsedType:
         element = reference
     elif reference.value in {"string", "wstring"}:
         element = StringType(wide=reference.value == "wstring", bound=kind.str_size or None)
-    elif reference.value == "char":
-        element = ScalarType("uint8")
     elif reference.value in _SCALARS:
         element = ScalarType(reference.value)
     else:
