@@ -198,6 +198,35 @@ def test_a_function_answers_goals_of_actionlib(master: Master, lasting: Peer) ->
         assert described.reply is not None
 
 
+def test_a_cancellation_up_to_a_time_holds_for_goals_that_come_after_it(
+    master: Master, lasting: Peer
+) -> None:
+    goal, cancel, result = (f"/early/add/{part}" for part in ("goal", "cancel", "result"))
+    with bridge_to(master) as bridge:
+        served: Any = bridge.serve(service("/early/add", ADD), lambda _: {"sum": 3})
+        for topic, kind in (
+            (goal, "actionlib/TwoIntsActionGoal"),
+            (cancel, "actionlib_msgs/GoalID"),
+        ):
+            lasting.do("advertise", topic=topic, type=kind)
+        lasting.do("subscribe", topic=result, type="actionlib/TwoIntsActionResult")
+        assert served._publications[0].wait(bool, patience())
+        status = {"topic": "/early/add/status", "type": "actionlib_msgs/GoalStatusArray"}
+        lasting.do("subscribe", **status)
+        stamp = {"secs": 100, "nsecs": 5}
+        lasting.publish(cancel, type="actionlib_msgs/GoalID", values={"stamp": stamp, "id": "x"})
+        lasting.wait_for(
+            "came", lambda came: came and came[-1]["status_list"], topic=status["topic"]
+        )
+        for identity, nsecs in (("at", 5), ("after", 6)):
+            goal_id = {"stamp": {**stamp, "nsecs": nsecs}, "id": identity}
+            values = {"goal_id": goal_id, "goal": {"a": 1, "b": 2}}
+            lasting.publish(goal, type="actionlib/TwoIntsActionGoal", values=values)
+        came = lasting.wait_for("came", lambda came: len(came) == 2, topic=result)
+        ends = {item["status"]["goal_id"]["id"]: item["status"]["status"] for item in came}
+        assert ends == {"at": 8, "after": 3}
+
+
 def test_parameters_are_read_watched_and_set(master: Master, lasting: Peer) -> None:
     lasting.do("set_param", name="/robot/speed", value=1.5)
     with bridge_to(master) as bridge:

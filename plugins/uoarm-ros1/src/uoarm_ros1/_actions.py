@@ -306,6 +306,7 @@ class ServedAction(Channel):
         # Guards the goals, and the order in which their states are published.
         self._lock = threading.Lock()
         self._goals: dict[str, _Served] = {}
+        self._cancelled_up_to = (0, 0)  # all goals with a time
         self._numbers = count(1)
         self._refused = 0
         self._publications: list[TopicPublication] = []
@@ -343,12 +344,14 @@ class ServedAction(Channel):
         goal_id = message["goal_id"]
         identity = goal_id["id"] or f"{self._node.name}-{next(self._numbers)}"
         with self._lock:
+            # A cancellation may come before its goal, by another connection.
             if identity in self._goals:
-                # A cancellation may come before its goal, by another connection.
                 served = self._goals[identity]
                 is_new = served.status == RECALLING
             else:
-                served, is_new = _Served({**goal_id, "id": identity}), True
+                is_late = (0, 0) < _moment(goal_id["stamp"]) <= self._cancelled_up_to
+                status = RECALLING if is_late else PENDING
+                served, is_new = _Served({**goal_id, "id": identity}, status), True
                 self._goals[identity] = served
             is_full = sum(goal.until == float("inf") for goal in self._goals.values()) > _MOST_GOALS
         if not is_new:
@@ -368,6 +371,7 @@ class ServedAction(Channel):
             return
         identity, at = message["id"], _moment(message["stamp"])
         with self._lock:
+            self._cancelled_up_to = max(self._cancelled_up_to, at)
             if identity and identity not in self._goals and len(self._goals) < _MOST_GOALS:
                 until = time.monotonic() + _KEEP_SECONDS
                 self._goals[identity] = _Served(message, RECALLING, "", until)
