@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -54,6 +55,10 @@ class Played:
         """Be away: every connection ends, and nothing listens."""
         self._server.shutdown()
         self._thread.join(patience())
+        pipe: Any = (self._server.shutdown_watcher, self._server.shutdown_notifier)
+        if isinstance(pipe[0], int):  # websockets before 17 keeps it open
+            for end in pipe:
+                os.close(end)
         for socket in self._all:
             socket.close()
 
