@@ -454,6 +454,18 @@ def test_hints_that_are_imported_for_a_type_checker_alone_are_refused(role: Role
         talk.describe("absent", role)
 
 
+@pytest.mark.skipif(
+    sys.version_info < (3, 14), reason="before CPython 3.14 such a module is not imported"
+)
+@pytest.mark.parametrize("name", ["takes", "Doubles"])
+def test_hints_that_cannot_be_read_late_are_named_and_not_needed(name: str) -> None:
+    where = f"tests.local.late_hints:{name}"
+    with pytest.raises(HintError, match=r"its type hints cannot be read: .*'Absent'.*not under"):
+        talk.describe(where, Role.SERVICE)
+    if name == "Doubles":
+        assert talk.call(where, 2) == 4  # as its structure is declared
+
+
 def test_a_parameter_whose_hints_cannot_be_read_is_refused_with_its_name() -> None:
     with pytest.raises(BridgeError, match=r"parameter 'more': .*cannot be read: .*'Absent'"):
         talk.describe("given_absent", Role.SERVICE, more={"value": 1})

@@ -7,7 +7,6 @@ meet as they are (TypedDict of numbers and texts, lists of numbers) has no conve
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import operator
 from collections.abc import Callable
 from enum import Enum
@@ -38,6 +37,7 @@ from uoarm._hints.schemas import (
     is_named_tuple,
     is_plain,
     is_record,
+    signature,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message
@@ -223,7 +223,7 @@ def _require_readable(hint: Any, seen: set[Any]) -> None:
         found = attrs.fields(hint) if attrs.has(hint) else dataclasses.fields(hint)
         names = [getattr(item, "alias", item.name) for item in found if item.init]
         try:
-            inspect.signature(hint).bind(**dict.fromkeys(names))
+            signature(hint).bind(**dict.fromkeys(names))
         except TypeError as error:
             text = f"{hint.__name__} cannot be built of its fields: {error}"
             raise TypeError(text) from None

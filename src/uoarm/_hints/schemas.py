@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import inspect
 import operator
 import sys
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import reduce
 from typing import (
     Annotated,
@@ -35,6 +36,9 @@ from uoarm._hints.arrays import (
     unwrapped,
 )
 from uoarm._raised import text_of
+
+if sys.version_info >= (3, 14):
+    from annotationlib import Format
 
 _OCTET_ARRAY: Mapping[str, object] = {
     "type": "array",
@@ -259,6 +263,14 @@ def read_hints(value: Any, what: str) -> dict[str, Any]:
         if isinstance(error, NameError):
             text += "; import what they name at run time, not under TYPE_CHECKING alone"
         raise HintError(text) from error
+
+
+def signature(function: Callable[..., Any]) -> inspect.Signature:
+    """Return a callable's signature, as far as it is there without what its hints name."""
+    if sys.version_info >= (3, 14):
+        return inspect.signature(function, annotation_format=Format.STRING)
+    else:  # noqa: RET505 - mypy knows of a version what is in branches alone
+        return inspect.signature(function)
 
 
 def _is_required(record: Any, name: str, hint: Any) -> bool:

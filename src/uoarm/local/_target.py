@@ -26,7 +26,7 @@ from attrs import field, frozen
 from uoarm._arguments import arguments
 from uoarm._hints.arrays import HintError
 from uoarm._hints.convert import reader
-from uoarm._hints.schemas import read_hints, schema_of
+from uoarm._hints.schemas import read_hints, schema_of, signature
 from uoarm._mistakes import Speller, schema_mistakes
 from uoarm._raised import foreign, text_of
 from uoarm.bridge import Description
@@ -383,7 +383,7 @@ class Target:
     def _parameters(self, method: Any) -> list[inspect.Parameter]:
         found = self._parameters_of.get(method) if inspect.isfunction(method) else None
         if found is None:
-            found = list(inspect.signature(method).parameters.values())
+            found = list(signature(method).parameters.values())
             if inspect.isfunction(method):  # others may not be hashable, or new each time
                 self._parameters_of[method] = found
         return found
