@@ -15,7 +15,7 @@ import pytest
 
 import uoarm
 from uoarm._support import workers
-from uoarm._support.workers import WorkerPool, WorkerPoolClosedError
+from uoarm._support.workers import Job, Lanes, WorkerPool, WorkerPoolClosedError
 from uoarm.testing import ResourceSnapshot, patience, wait
 
 
@@ -332,3 +332,24 @@ def test_no_wait_that_must_end_is_at_a_simple_queue() -> None:
         if "SimpleQueue(" in (text := path.read_text()) and ".get(timeout=" in text
     }
     assert found == {"workers.py"}  # of whose threads it ends those alone that nothing needs
+
+
+@pytest.mark.parametrize("is_served", [False, True])
+def test_who_comes_to_drive_a_lane_that_was_abandoned_waits_for_no_reply(is_served: bool) -> None:
+    """So a thread of a request that is given up before it begins does not stay for ever."""
+    started, done = list[Job](), list[str]()
+    lanes = Lanes(started.append)
+    lanes.reserve("request")
+    lanes.put("request", partial(done.append, "opened"))
+    lanes.abandon("request")
+    lanes.reply("request", None)
+    if is_served:
+        started[0]()
+    late = threading.Thread(target=lanes.drive, args=("request",), daemon=True)
+    late.start()
+    late.join(patience())
+    assert not late.is_alive()
+    if not is_served:
+        assert not done
+        started[0]()
+    assert done == ["opened"]

@@ -357,13 +357,17 @@ class Lanes:
     def drive(self, name: str) -> None:
         """Do the jobs of a lane that was reserved, in this thread, until the reply.
 
-        Where that is interrupted, a worker thread goes on.
+        Where that is interrupted, a worker thread goes on. Does nothing where the lane was
+        abandoned before.
 
         Raises:
             BaseException: the error of the reply.
         """
         with self._lock:
-            lane = self._lanes[name]
+            lane = self._lanes.get(name)
+            # This thread may have been given up before it began: the worker takes the reply, too.
+            if lane is None or lane.has_begun:
+                return
             lane.has_begun = True
         # The reply is a job among the others: what was put before it is done before it.
         try:
