@@ -75,6 +75,21 @@ def test_a_kill_ends_also_when_closing_fails(
     assert "a fault of ours" in caplog.text
 
 
+def test_a_kill_that_is_interrupted_has_an_end_all_the_same(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second Ctrl-C: else a close would wait for the end for ever."""
+
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    connection = stage.robot.request("face")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(parts.LiveParts, "close", interrupt)
+        connection.kill()
+    assert connection.ended
+
+
 def test_a_search_that_breaks_down_ends_the_connection(
     stage: Stage, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

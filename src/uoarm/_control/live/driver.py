@@ -453,15 +453,17 @@ class Driver:
         call: Callable[[], ev.Event | None],
         after: ev.Event | None,
     ) -> None:
+        event = after
         try:
             event = foreign(call) or after
         except Exception as error:  # noqa: BLE001 - the lane must go on
             self._log_failure(f"the control plane failed to do {shown(action)}", error)
-            event = after
-        # In the lane's thread, which owns the state then if no other does: no event needs one of
-        # its own.
-        if event is not None:
-            self.post(event)
+        finally:
+            # Also where a second Ctrl-C ends the call: no close would find an end to what ends. In
+            # the lane's thread, which owns the state then if no other does: no event needs one of
+            # its own.
+            if event is not None:
+                self.post(event)
 
     # Quick steps, done by the thread that owns the state.
 
