@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ast
 import asyncio
+import time
 from pathlib import Path
 
 import pytest
 
 import uoarm
+from uoarm._support import deadlines
 from uoarm._support.aio_deadlines import result_within
 
 
@@ -49,6 +51,31 @@ async def test_a_cancelled_waiter_cancels_what_it_waits_for() -> None:
     await asyncio.wait({waiting})
     assert waiting.cancelled()
     assert future.cancelled()
+
+
+def test_an_inner_step_that_ends_in_its_grace_does_not_have_the_outer_one_given_up() -> None:
+    job = deadlines._Job("outer", 60.0, lambda: "done", None, None, 0.0)
+    outer = job.deadline, job.grace
+
+    class Waited:
+        """The end of the outer step, for which the third look waits long enough."""
+
+        looks = 0
+
+        def acquire(self, *, timeout: float) -> bool:
+            del timeout
+            self.looks += 1
+            if self.looks == 1:
+                job.deadline, job.grace = time.monotonic(), 60.0
+            elif self.looks == 2:
+                job.deadline, job.grace = outer
+            return self.looks == 3
+
+    job.work()
+    job._finished = Waited()  # type: ignore[assignment]
+    job._is_over = False
+    assert job.wait() == "done"
+    assert not job.given_up
 
 
 def test_nothing_uses_wait_for() -> None:

@@ -151,15 +151,14 @@ class _Job(Generic[T]):
         return self._result
 
     def _wait(self) -> None:
-        while not self._finished.acquire(
-            timeout=max(0.0, min(self.deadline - time.monotonic(), _GLANCE_SECONDS))
-        ):
-            if time.monotonic() < self.deadline:
-                continue
-            if self._finished.acquire(timeout=self.grace):
-                return
-            if self._give_up():
+        # The deadline and its grace are read at each look: they are those of an inner step for a
+        # while, which may end within its grace, by an error that the step around it deals with.
+        while not self._finished.acquire(timeout=self._glance()):
+            if time.monotonic() >= self.deadline + self.grace and self._give_up():
                 raise self._late()
+
+    def _glance(self) -> float:
+        return max(0.0, min(self.deadline + self.grace - time.monotonic(), _GLANCE_SECONDS))
 
     def _late(self) -> BridgeTimeoutError:
         innermost: _Job[Any] = self
