@@ -70,12 +70,13 @@ def renewed(
 
     send(message)
     thread = threading.Thread(target=renew, name="uoarm-renewal", daemon=True)
-    thread.start()
     try:
+        thread.start()
         yield held
     finally:
         over.set()
-        thread.join(_LAST_SECONDS)  # so that nothing is sent behind the stop
+        if thread.ident is not None:
+            thread.join(_LAST_SECONDS)  # so that nothing is sent behind the stop
         with suppress(ConnectionClosedError):  # it was stopped with that
             stop()
     if held.error is not None:

@@ -13,7 +13,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TypeAlias, TypeVar
@@ -270,10 +270,14 @@ class EmergencyStop:
                 reports[0] = ""
 
         thread = threading.Thread(target=write, name="uoarm-stop-file", daemon=True)
-        thread.start()
+        with suppress(RuntimeError):  # the system gives no more threads
+            thread.start()
 
         def wait(timeout: float) -> str:
-            thread.join(timeout)
+            if thread.ident is None:
+                write()
+            else:
+                thread.join(timeout)
             return reports[0]
 
         return wait
@@ -342,13 +346,19 @@ def _each(
         except Exception as error:  # noqa: BLE001 - a bridge may raise anything
             results[item] = text_of(error)
 
-    threads = [
-        threading.Thread(target=begin, args=(item,), name="uoarm-stop", daemon=True)
-        for item in moving
-    ]
-    for thread in threads:
-        thread.start()
+    threads: list[threading.Thread] = []
+    left: list[T] = []
+    for item in moving:
+        thread = threading.Thread(target=begin, args=(item,), name="uoarm-stop", daemon=True)
+        try:
+            thread.start()
+        except RuntimeError:  # the system gives no more threads
+            left.append(item)
+        else:
+            threads.append(thread)
     deadline = time.monotonic() + timeout
+    for item in left:  # here, one after another: late is better than not at all
+        begin(item)
     for thread in threads:
         thread.join(max(0.0, deadline - time.monotonic()))
 

@@ -256,10 +256,11 @@ class BridgeSet:
 
         thread = threading.Thread(target=close, name=f"uoarm-retire-{name}", daemon=True)
         with self._lock:  # with the start: `close` joins all that are listed
-            dead = self._dead.pop(name, [])
+            dead = self._dead.get(name, [])
             if dead:
+                thread.start()  # where it cannot, they stay listed for the end
                 self._retiring.add(thread)
-                thread.start()
+                del self._dead[name]
 
     def stage(self, specs: Mapping[str, BridgeSpec], listening: Listening | None) -> StagedBridges:
         """Return the bridges of another configuration: these, where they stay as they are.
@@ -332,7 +333,11 @@ class BridgeSet:
             self._replaced.clear()
             dead = tuple(self._dead)
         for name in dead:
-            self.retire(name)
+            try:
+                self.retire(name)
+            except RuntimeError:  # the system gives no more threads
+                for bridge in self._dead.pop(name):
+                    close_logged(bridge.close)
         failures: list[BridgeError] = []
         for close in (*(bridge.close for bridge in bridges), self.machines.close):
             try:

@@ -152,11 +152,14 @@ class Machines:
                     self._notify(HealthEvent(name, Health.LOST, cause))
             before.retire() if after is not before else before.watch(frozenset(staged.bridges))
             self.begin()
-            self._beginning.discard(thread)
 
         thread = threading.Thread(target=begin, name="uoarm-machines", daemon=True)
-        self._beginning.add(thread)
-        thread.start()
+        try:
+            thread.start()
+        except RuntimeError:  # the system gives no more threads
+            begin()
+        else:
+            self._beginning = {*filter(threading.Thread.is_alive, self._beginning), thread}
 
     def statuses(self) -> tuple[MachineStatus, ...]:
         """Return what the status map shows of every machine of the configuration."""

@@ -93,10 +93,9 @@ class CandidateWatch:
         deadline = time.monotonic() + timeout
         with self._changed:
             if self._thread is None and not self._is_closed:
-                self._thread = threading.Thread(
-                    target=self._run, name="uoarm-candidates", daemon=True
-                )
-                self._thread.start()
+                thread = threading.Thread(target=self._run, name="uoarm-candidates", daemon=True)
+                thread.start()
+                self._thread = thread
             self._changed.notify_all()  # the thread may rest, and not know this configuration
             may_wait = function is None or self._is_known() or revision.has_needs(function)
             if not may_wait:

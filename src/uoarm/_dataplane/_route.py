@@ -305,14 +305,12 @@ class Route:
         assert self._queue_policy is not None, "only a route with a queue comes here"
         with self._dropping:
             if self._queue is None and not self._closed:
-                self._queue = BoundedQueue(self._queue_policy, self.drop)
-                self._worker = threading.Thread(
-                    target=self._work,
-                    args=(self._queue,),
-                    name=f"uoarm-to-{self.consumer}",
-                    daemon=True,
-                )
-                self._worker.start()
+                made = BoundedQueue[Message](self._queue_policy, self.drop)
+                name = f"uoarm-to-{self.consumer}"
+                worker = threading.Thread(target=self._work, args=(made,), name=name, daemon=True)
+                worker.start()
+                # After it began: where the system gives no thread, the next message tries again.
+                self._queue, self._worker = made, worker
             queue = self._queue
         if queue is None:  # it was closed before its first message
             self.drop("closed")

@@ -459,15 +459,20 @@ class Timer:
         self._thread: threading.Thread | None = None
 
     def wake_at(self, time: float) -> None:
-        """Call back at this time, or at an earlier one asked for. Any thread."""
+        """Call back at this time, or at an earlier one asked for. Any thread.
+
+        Raises:
+            RuntimeError: the system gives no thread; it is not waited for.
+        """
         with self._changed:
             if self._is_closed or (self._due is not None and self._due <= time):
                 return
+            if self._thread is None:
+                thread = threading.Thread(target=self._run, name="uoarm-control", daemon=True)
+                thread.start()
+                self._thread = thread
             self._due = time
             self._changed.notify()
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="uoarm-control", daemon=True)
-                self._thread.start()
 
     def close(self) -> None:
         """Call back no more. Idempotent."""

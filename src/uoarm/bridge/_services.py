@@ -201,7 +201,11 @@ class ServedRequests(Generic[T]):
             self._turn_away(request, BridgeError(why, FailureReason.REFUSED))
         elif starts:
             name = f"uoarm serves {self._what}"
-            threading.Thread(target=self._run, name=name, daemon=True).start()
+            try:
+                threading.Thread(target=self._run, name=name, daemon=True).start()
+            except RuntimeError:  # the system gives no more: it waits for one, or for the next try
+                with self._lock:
+                    self._threads -= 1
 
     def withdraw(self, is_meant: Callable[[T], bool]) -> tuple[list[T], list[T]]:
         """Take requests out that wait; returns them, and those meant that are being handled."""

@@ -366,8 +366,10 @@ class Watchdog:
 
     def _send_command(self, message: Message, age: float) -> None:
         with self._changed:
+            if self._thread is None:
+                self._wake()  # first: a command that no thread watches would never be stopped
             self._offer(message, age)
-            if self._state.wake_at() < self._asleep_until or self._thread is None:
+            if self._state.wake_at() < self._asleep_until:
                 self._wake()
         try:
             self._send(message)
@@ -383,8 +385,9 @@ class Watchdog:
             return
         if self._thread is None:
             name = f"uoarm-watchdog-{self._name}"
-            self._thread = threading.Thread(target=self._watch, name=name, daemon=True)
-            self._thread.start()
+            thread = threading.Thread(target=self._watch, name=name, daemon=True)
+            thread.start()
+            self._thread = thread
         self._changed.notify_all()
 
     def _watch(self) -> None:

@@ -47,7 +47,12 @@ class LoopThread:
 
         with self._changing:  # whatever is submitted before the close is cancelled by it
             if not self._is_closed:
-                future = asyncio.run_coroutine_threadsafe(_outcome(coroutine), self._started())
+                try:
+                    loop = self._started()
+                except RuntimeError:
+                    coroutine.close()
+                    raise
+                future = asyncio.run_coroutine_threadsafe(_outcome(coroutine), loop)
                 future.add_done_callback(lambda _: _close_unbegun(coroutine))
                 return future
         coroutine.close()
@@ -67,11 +72,14 @@ class LoopThread:
         if self._loop is None:
             import asyncio  # noqa: PLC0415 - slow, and of coroutines only
 
-            self._loop = asyncio.new_event_loop()
-            self._thread = threading.Thread(
-                target=_work, args=(self._loop,), name=self._name, daemon=True
-            )
-            self._thread.start()
+            loop = asyncio.new_event_loop()
+            thread = threading.Thread(target=_work, args=(loop,), name=self._name, daemon=True)
+            try:
+                thread.start()
+            except RuntimeError:  # the system gives no more threads
+                loop.close()
+                raise
+            self._loop, self._thread = loop, thread
         return self._loop
 
 

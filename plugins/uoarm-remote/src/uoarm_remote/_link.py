@@ -319,11 +319,12 @@ class ManagerLink:
             if self._is_closing:
                 raise self._closed("a question")
             if self._thread is None:
-                self._thread = threading.Thread(
+                thread = threading.Thread(
                     target=self._main, name=f"uoarm-remote {self._name}", daemon=True
                 )
                 self._closing = asyncio.Event()
-                self._thread.start()
+                thread.start()
+                self._thread = thread
 
     def _closed(self, what: str) -> BridgeError:
         return BridgeError(f"{self.place}: closed before {what}", FailureReason.CLOSED)

@@ -361,11 +361,13 @@ class ManagedNode:
             if not self._is_watched and self.serves("get_state"):
                 stop = self._access.listen(f"{self._name}/transition_event", self.hint)
                 name = f"ros2 {self._name}"
-                self._is_watched = True
-                self._thread = threading.Thread(
-                    target=self._watch, args=(stop,), name=name, daemon=True
-                )
-                self._thread.start()
+                thread = threading.Thread(target=self._watch, args=(stop,), name=name, daemon=True)
+                try:
+                    thread.start()
+                except RuntimeError:  # the system gives no more threads
+                    stop()
+                    raise
+                self._is_watched, self._thread = True, thread
 
     def _watch(self, stop: Callable[[], None]) -> None:
         while self._is_needed(stop):

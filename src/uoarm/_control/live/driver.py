@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
 
 from uoarm._bridges import BridgeSet
@@ -588,7 +588,9 @@ class Driver:
             # it would have it served: it is tried again with the time.
             _log.warning("a lane waits for a thread: %s", error)
             self._unstarted.append(job)
-            self.timer.wake_at(self._clock() + _AGAIN_SECONDS)
+        if self._unstarted:
+            with suppress(RuntimeError):  # nor one for the timer: the next start asks again
+                self.timer.wake_at(self._clock() + _AGAIN_SECONDS)
 
     def _reach_time(self) -> None:
         for _ in range(len(self._unstarted)):

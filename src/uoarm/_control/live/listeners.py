@@ -54,8 +54,8 @@ class EventDispatcher:
             for observer in self._observers:
                 observer(event)
             if is_queued:
-                self._start()
                 self._events.put(event)
+                self._start()
 
     def observe(self, observer: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Call an observer with every change from now on, within `post`; returns what ends that.
@@ -64,8 +64,8 @@ class EventDispatcher:
         raises nor posts.
         """
         with self._lock:
-            self._observers = (*self._observers, observer)
             self._start()  # what is lost later is recorded without waiting for a thread to begin
+            self._observers = (*self._observers, observer)
 
         def end() -> None:
             with self._lock:
@@ -76,8 +76,8 @@ class EventDispatcher:
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Call a listener for every change from now on; returns what ends that."""
         with self._lock:
-            self._listeners = (*self._listeners, listener)
             self._start()
+            self._listeners = (*self._listeners, listener)
 
         def end() -> None:
             with self._lock:
@@ -104,8 +104,9 @@ class EventDispatcher:
 
     def _start(self) -> None:
         if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name="uoarm-events", daemon=True)
-            self._thread.start()
+            thread = threading.Thread(target=self._run, name="uoarm-events", daemon=True)
+            thread.start()
+            self._thread = thread
 
     def _record(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")

@@ -62,8 +62,9 @@ class QuietWatch:
         with self._lock:
             self._wanted, self._changed = entities, True
             if entities and self._thread is None and not self._closing.is_set():
-                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-                self._thread.start()
+                thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+                thread.start()
+                self._thread = thread
         self._wake()
 
     def go_on(self) -> None:

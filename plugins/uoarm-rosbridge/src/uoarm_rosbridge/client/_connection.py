@@ -149,8 +149,9 @@ class ServerConnection:
         with self._changed:
             if self._thread is None and not self._is_closed:
                 name = f"uoarm-rosbridge-{self._name}"
-                self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-                self._thread.start()
+                thread = threading.Thread(target=self._run, name=name, daemon=True)
+                thread.start()
+                self._thread = thread
             self._changed.wait_for(
                 lambda: self._socket is not None or self._cause or self._is_closed, _STEP_SECONDS
             )

@@ -1,0 +1,154 @@
+"""Where the system gives no thread, nothing is left half begun: what comes later has its thread."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm._control.live.listeners import EventDispatcher
+from uoarm._dataplane import Route
+from uoarm._renewal import renewed
+from uoarm._support.workers import Timer
+from uoarm.bridge import ServedRequests
+from uoarm.bridge._watchdog import Watchdog
+from uoarm.config import loads
+from uoarm.local._loop import LoopThread
+from uoarm.model import CommandPhase, CommandPolicy, Health, Message, QueuePolicy, StopMessage
+from uoarm.testing import ManualClock, MemoryBridge, patience, wait
+
+NUMBER = {"type": "integer"}
+POLICY = CommandPolicy(3600.0, StopMessage(0))
+
+
+@contextmanager
+def no_threads() -> Iterator[None]:
+    def start(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start)
+        yield
+
+
+def test_no_command_passes_that_no_thread_would_stop() -> None:
+    taken: list[Message] = []
+    watchdog = Watchdog(POLICY, taken.append, "motor")
+    with no_threads():
+        for _ in range(2):
+            with pytest.raises(RuntimeError, match="new thread"):
+                watchdog.send(5, 0.0)
+    assert watchdog.status().phase is CommandPhase.IDLE
+    watchdog.send(7, 0.0)
+    watchdog.close()
+    assert taken == [7, 0]
+
+
+MOTORS = """
+version: 1
+bridges: {one: {plugin: memory}}
+functions:
+  left:
+    components:
+      - name: left
+        bridge: one
+        input: {endpoint: [left], lifetime: 3600, stop: {message: 0}, meaning: stated}
+  right:
+    components:
+      - name: right
+        bridge: one
+        input: {endpoint: [right], lifetime: 3600, stop: {message: 0}, meaning: stated}
+"""
+
+
+def test_all_is_stopped_in_the_thread_that_asks(tmp_path: Path) -> None:
+    bridge = MemoryBridge("one", {})
+    bridge.taker("left", NUMBER)
+    bridge.taker("right", NUMBER)
+    file = tmp_path / "stop"
+    with RobotManager(loads(MOTORS), bridges={"one": bridge}, stop_file=file) as robot:
+        connections = [robot.request(name) for name in ("left", "right")]
+        for connection in connections:
+            connection.send(5)
+        with no_threads():
+            report = robot.stop_all(timeout=patience())
+        assert file.exists()
+        assert [outcome.stopped for outcome in report.inputs] == [True, True]
+        robot.release()
+
+
+def test_what_is_held_is_stopped() -> None:
+    sent: list[Message] = []
+    held = renewed(5, sent.append, lambda: sent.append(0), 3600.0)
+    with no_threads(), pytest.raises(RuntimeError), held:
+        pass
+    assert sent == [5, 0]
+
+
+def test_listeners_get_what_found_no_thread_with_the_next_change() -> None:
+    dispatcher, came = EventDispatcher(ManualClock()), list[str]()
+    with no_threads():
+        with pytest.raises(RuntimeError):
+            dispatcher.listen(lambda event: came.append("never"))
+        with pytest.raises(RuntimeError):
+            dispatcher.post("component a", "lost", "it was unplugged")
+    dispatcher.listen(lambda event: came.append(event.subject))
+    dispatcher.post("component b", "lost", "it was unplugged")
+    wait(lambda: came == ["component a", "component b"])
+    dispatcher.close()
+
+
+def test_a_timer_goes_on() -> None:
+    reached = threading.Event()
+    timer = Timer(ManualClock(), reached.set)
+    with no_threads(), pytest.raises(RuntimeError):
+        timer.wake_at(0.0)
+    timer.wake_at(0.0)
+    assert reached.wait(patience())
+    timer.close()
+
+
+def test_a_message_fails_and_the_next_one_is_handed_over() -> None:
+    taken: list[Message] = []
+    route = Route("a", "b", taken.append, clock=ManualClock(), queue=QueuePolicy(length=8))
+    with no_threads():
+        route.deliver(1)
+    route.deliver(2)
+    wait(lambda: taken == [2])
+    route.close()
+    assert route.status().dropped == (("failed", 1),)
+
+
+def test_coroutines_run_in_the_loop_that_began_later() -> None:
+    async def reply() -> int:
+        return 7
+
+    loop = LoopThread("loop")
+    with no_threads(), pytest.raises(RuntimeError):
+        loop.submit(reply())
+    assert loop.submit(reply()).result(patience()) == (7, None)
+    loop.close()
+
+
+def test_a_request_is_handled_with_the_next_one() -> None:
+    handled: list[int] = []
+    queue = ServedRequests("service", handled.append, lambda _, __: None, 1, lambda _, __: None)
+    with no_threads():
+        queue.put(1)
+    queue.put(2)
+    wait(lambda: handled == [1, 2])
+    queue.close()
+
+
+def test_a_bridge_that_was_lost_is_closed_at_the_end() -> None:
+    bridge = MemoryBridge("one", {})
+    bridge.taker("left", NUMBER)
+    with RobotManager(loads(MOTORS), bridges={"one": bridge}) as robot:
+        robot.request("left")
+        with no_threads():
+            bridge.report(Health.LOST, "it was unplugged")
+    wait(lambda: bridge.closed)
