@@ -37,7 +37,7 @@ bool[] hits
 uint8[] picture
 Part[] parts
 Nothing nothing
-wstring wide
+wstring<=9 wide
 char letter
 {RULE}
 MSG: lab/Header
@@ -70,7 +70,7 @@ scans = st.fixed_dictionaries(
             max_size=4,
         ),
         "nothing": st.just({}),
-        "wide": texts,
+        "wide": texts.filter(lambda text: len(text.encode("utf-16-le")) <= 2 * 9),
         "letter": st.integers(0, 255),
     }
 )
@@ -99,6 +99,9 @@ def test_a_definition_and_its_structure_say_the_same() -> None:
     assert schema["x-constants"] == {"LASER": 1}
     assert schema["properties"]["picture"]["x-octets"] is True
     assert schema["properties"]["few"]["maxItems"] == 4
+    assert schema["properties"]["name"]["x-max-utf8"] == 20
+    wide = schema["properties"]["wide"]
+    assert (wide["x-max-utf16"], "x-max-utf8" in wide) == (9, False)
     assert structure_of_definition(definition_of(structure, "x/msg/Other")) == structure
 
 

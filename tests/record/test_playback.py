@@ -91,6 +91,22 @@ def test_readers_that_wait_are_moved() -> None:
     assert (status.position, status.duration, status.is_paused) == (7.0, 10.0, True)
 
 
+def test_a_message_that_is_due_in_centuries_is_waited_for() -> None:
+    playback = Playback(Timeline(1e-9), 0, 10 * SECOND)
+    playback.join("a")
+    playback.begin()
+    asked = threading.Event()
+
+    def is_over() -> bool:
+        asked.set()
+        return False
+
+    reading = Background(lambda: playback.wait("a", 10 * SECOND, 0, is_over))
+    assert asked.wait(patience())
+    playback.seek(0.0)  # once it waits: it holds the lock until then
+    assert reading.result(patience()) is PlaybackTurn.ELSEWHERE
+
+
 def test_a_step_waits_for_readers_that_were_moved() -> None:
     playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND)
     playback.join("a")

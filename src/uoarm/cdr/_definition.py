@@ -159,7 +159,8 @@ class _Definitions:
     def _field(self, found: re.Match[str], name: str, path: tuple[str, ...]) -> dict[str, Any]:
         element = self._element(found["base"], name, path)
         if found["text"] is not None:
-            element = {**element, "maxLength": int(found["text"]), "x-max-utf8": int(found["text"])}
+            unit = "x-max-utf16" if found["base"] == "wstring" else "x-max-utf8"
+            element = {**element, "maxLength": int(found["text"]), unit: int(found["text"])}
         if found["array"] is None:
             return element
         schema: dict[str, Any] = {"type": "array", "items": element}

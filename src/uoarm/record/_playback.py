@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from enum import Enum
+from threading import TIMEOUT_MAX
 from typing import Any
 
 from attrs import frozen
@@ -236,7 +237,8 @@ class Playback:
                     if seconds == 0:
                         self._timeline.passed(place)
                         return PlaybackTurn.PLAY
-                    self._moved.wait(seconds)
+                    # A clock that was set late puts decades between two messages.
+                    self._moved.wait(None if seconds is None else min(seconds, TIMEOUT_MAX))
             finally:
                 self._next.pop(reader, None)
 
