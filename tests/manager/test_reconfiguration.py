@@ -208,6 +208,10 @@ def test_a_change_to_the_same_configuration_changes_nothing(robot: RobotManager)
     assert change.differences == ()
     assert change.connections == ()
     assert face.gaps == ()
+    assert (change.revision, change.is_applied) == (robot.revision, True) == (0, True)
+    assert len(robot.history()) == 1
+    assert robot.apply(loads(f"{ROBOT}# a remark\n")).revision == 1
+    assert robot.config.text.endswith("# a remark\n")
 
 
 @pytest.fixture

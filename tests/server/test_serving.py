@@ -34,6 +34,7 @@ from websockets.typing import Origin
 from uoarm import RobotManager
 from uoarm.cli import _serve, _up, main
 from uoarm.errors import ConfigurationError, ListenError
+from uoarm.model import ConfigurationChange
 from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run, serve_in_thread
 from uoarm.testing import ResourceSnapshot, patience, wait
 
@@ -323,7 +324,7 @@ def test_what_goes_wrong_while_reloading_ends_no_later_reload(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     robot = create_autospec(RobotManager)
-    robot.reload.side_effect = [RuntimeError("a fault"), "no change"]
+    robot.reload.side_effect = [RuntimeError("a fault"), ConfigurationChange(1)]
     _serve._reload(robot)
     assert "a fault" in caplog.text
     _serve._reload(robot)
@@ -441,6 +442,12 @@ def test_a_file_with_mistakes_leaves_the_configuration_as_it_is(
     assert "stays as it is" in _until(process, "funktions")[0]
     with Talk(f"ws://127.0.0.1:{port}/") as client:
         client.open("numbers")
+
+
+def test_a_file_that_says_the_same_makes_no_revision(start: Start) -> None:
+    process, _ = start()
+    process.send_signal(signal.SIGHUP)
+    _until(process, "the file is what is in force: nothing changes")
 
 
 def test_a_mistake_that_is_undone_in_a_watched_file_gets_a_word(

@@ -58,6 +58,9 @@ class ConfiguredRobot:
     ) -> ConfigurationChange:
         """Change the configuration while the manager runs; one change at a time.
 
+        The configuration in force, word for word, makes no revision: what is returned has the
+        number of the one in force, and no differences.
+
         Connections whose plan stays as it is notice nothing. The others go on with their new
         plans as after a failover, with a gap noted: what is new opens beside what runs, and takes
         its place. Where that cannot be (a device that can be open once only), what the new
@@ -104,6 +107,11 @@ class ConfiguredRobot:
                 refused.callback(staged.bridges.close)
                 if dry_run:
                     return staged.change
+                if not (staged.is_new or keep):
+                    now = self._revisions.history()[-1]
+                    return evolve(
+                        staged.change, revision=now.revision, is_applied=True, time=now.time
+                    )
                 if not force:
                     self._require_none_ends(staged)
                 self._watch_rates(robot)

@@ -376,6 +376,7 @@ def _is_in_force(manager: RobotManager, path: Path) -> bool:
 
 def _reload(manager: RobotManager) -> bool:
     """Apply the configuration file and say what changed; returns whether that was possible."""
+    before = manager.revision
     try:
         change = manager.reload()
     except UoarmError as error:
@@ -383,7 +384,8 @@ def _reload(manager: RobotManager) -> bool:
     except Exception as error:  # noqa: BLE001 - the next reload may do better
         LimitedLog(_log).write(logging.ERROR, "reloading the configuration failed", error)
     else:
-        echo(str(change), err=True)
+        same = "the file is what is in force: nothing changes"
+        echo(same if change.revision == before else str(change), err=True)
         return True
     return False
 

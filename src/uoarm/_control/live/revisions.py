@@ -206,12 +206,16 @@ class Revision:
 
 @frozen(eq=False)
 class StagedRevision:
-    """A configuration that may be adopted; its new bridges run, for itself alone."""
+    """A configuration that may be adopted; its new bridges run, for itself alone.
+
+    It is not `is_new` where its text, all in it and its lock are those in force.
+    """
 
     revision: Revision
     difference: ConfigurationDifference
     bridges: StagedBridges
     change: ConfigurationChange
+    is_new: bool
 
 
 class Revisions:
@@ -338,7 +342,8 @@ class Revisions:
             bridges.close()
             raise
         change = ConfigurationChange(revision.number, difference.changes, effects, robot=base)
-        return StagedRevision(revision, difference, bridges, change)
+        is_new = (base, base.text) != (before.base, before.base.text) or guard is not before.guard
+        return StagedRevision(revision, difference, bridges, change, is_new)
 
     def expect(self, staged: StagedRevision) -> None:
         """Have a revision ready, which `adopt` is called for by its number."""
