@@ -80,6 +80,10 @@ YAML = {
 }
 
 SHAPE = {
+    "a size": Bad(
+        "version: 1\nbridges: {python: {host: {memory: 512MB}}}\nfunctions: {}\n",
+        *(2, 35, "$.bridges.python.host.memory", "expected text such as 512 MiB, got"),
+    ),
     "a list": Bad("- 1\n", 1, 1, "$", "expected a mapping, got [1]"),
     "a word": Bad("hello\n", 1, 1, "$", 'expected a mapping, got "hello"'),
     "no version": Bad("bridges: {}\nfunctions: {}\n", 1, 1, "$", 'the key "version" is missing'),

@@ -237,7 +237,7 @@ def _mistakes(error: ValidationError, speller: Speller) -> Iterator[Mistake]:
     rules: Any = error.schema
     if is_about_a_key(error):
         yield (*path, value), f"the name {clip(value)} is not allowed", _NAME_HINT, True
-    elif keyword in {"pattern", "maxLength"} and "pattern" in rules:
+    elif keyword in {"pattern", "maxLength"} and {"pattern", "maxLength"} <= rules.keys():
         yield path, f"the name {clip(value)} is not allowed", _NAME_HINT, False
     elif keyword == "anyOf":
         yield from _no_branch_fits(error, rules.get("x-kinds"), speller)
