@@ -36,6 +36,7 @@ from uoarm.cli import _serve, _up, main
 from uoarm.errors import ConfigurationError, ListenError
 from uoarm.model import ConfigurationChange
 from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run, serve_in_thread
+from uoarm.server.front_end import FrontEnd
 from uoarm.testing import ResourceSnapshot, patience, wait
 
 ROOT = Path(__file__).parents[2]
@@ -359,6 +360,20 @@ def test_a_signal_while_its_loop_closes_is_no_exception(
     monkeypatch.setitem(sys.modules, "uvloop", None)  # another loop
     run(robot, ServerOptions(port=0), lambda _: signal.raise_signal(signal.SIGTERM))
     assert not reports
+
+
+def test_a_signal_while_front_ends_are_imported_is_raised_after_that(robot: RobotManager) -> None:
+    """Python may drop what is raised there, or leave the lock of all imports taken for good."""
+    imported = []
+
+    def front_ends() -> Iterator[FrontEnd]:
+        signal.raise_signal(signal.SIGINT)
+        imported.append("front end")
+        yield from ()
+
+    with pytest.raises(KeyboardInterrupt):
+        run(robot, ServerOptions(port=0), front_ends=front_ends())
+    assert imported
 
 
 def _torch(file: Path) -> None:

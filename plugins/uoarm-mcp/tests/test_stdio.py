@@ -100,7 +100,7 @@ def started(
     configuration = folder / "robot.yaml"
     configuration.write_text(text, encoding="utf-8")
     words = ["mcp", str(configuration), "--port", "0", "--access", str(access), *more]
-    environment = {**os.environ, "UOARM_TOKEN": TOKENS["agent"], "PYTHONPATH": str(FOLDER)}
+    environment = {**os.environ, "UOARM_TOKEN": TOKENS["agent"] + "\n", "PYTHONPATH": str(FOLDER)}
     errors = folder / "errors.txt"
     with (
         errors.open("wb") as written,

@@ -24,6 +24,7 @@ from typing import Any
 from uoarm._arguments import arguments
 from uoarm._control import RobotManager
 from uoarm._forks import at_exit, default_in_children
+from uoarm._interrupts import Uninterrupted
 from uoarm._raised import ContainedError, LimitedLog, foreign
 from uoarm._support.aio_deadlines import result_within
 from uoarm._support.process_tuning import keep_memory, short_switch_interval
@@ -140,7 +141,10 @@ def run(
     """
     keep_memory()
     with short_switch_interval():
-        server = Server(robot, settings, front_ends)
+        # Front ends are imported. Python drops what a signal raises in a callback of its import
+        # system, or leaves the lock of all imports taken, for which other threads then wait.
+        with Uninterrupted():
+            server = Server(robot, settings, front_ends)
         _run_loop(_new_loop(), _until_signal(server, ready))
 
 

@@ -75,7 +75,7 @@ def main(arguments: list[str] | None = None) -> int:
             if wire is None:
                 run(robot, options, lambda server: _say(server, options))
             else:
-                token = os.environ.get("UOARM_TOKEN", "")
+                token = os.environ.get("UOARM_TOKEN", "").strip()  # as it stands in a file
                 asyncio.run(
                     serve_stdio(wire, robot, options, token, lambda server: _say(server, options))
                 )
