@@ -262,7 +262,7 @@ def test_a_naming_service_may_die_and_come_back_empty(make_bridge: Make, peer: S
         sink(bridge, endpoint(Role.INPUT, "self", "said", "TimedLong"))
         wait(lambda: len(bridge.discover()) == 2)
     events.event(Health.DEGRADED, "naming service")
-    with pytest.raises(BridgeError, match="naming service"):
+    with pytest.raises(BridgeError, match=r"naming service .* does one run there, such as `uoarm"):
         bridge.describe(OUT)
     component.count(0, 3)
     inbox.wait_for(3)
@@ -290,6 +290,14 @@ def test_a_naming_service_takes_another_port_where_one_is_taken_meanwhile(
         assert ports == [free]
         with pytest.raises(BridgeError, match=f"is port {used} in use"):
             NameServer(used)
+
+
+def test_a_naming_service_makes_the_folder_of_its_names(tmp_path: Path) -> None:
+    with NameServer(folder=tmp_path / "made" / "names"):
+        assert list((tmp_path / "made" / "names").iterdir())
+    (tmp_path / "file").touch()
+    with pytest.raises(BridgeError, match=r"folder of its names cannot be made: .*file"):
+        NameServer(folder=tmp_path / "file")
 
 
 ASKED: dict[str, Callable[[Bridge], object]] = {

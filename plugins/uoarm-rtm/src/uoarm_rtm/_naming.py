@@ -159,7 +159,13 @@ class NamingService:
     def _root(self) -> Any:
         # Resolved anew each time: a service that came back empty has another root.
         reference = self._orb.reference(self._corbaloc)
-        return narrowed(reference, CosNaming.NamingContext, self._seconds, self._what)
+        try:
+            return narrowed(reference, CosNaming.NamingContext, self._seconds, self._what)
+        except BridgeError as error:
+            if not isinstance(error.__cause__, CORBA.TRANSIENT):
+                raise
+            text = f"{error}; does one run there, such as `uoarm rtm nameserver`?"
+            raise BridgeError(text, error.reason) from error.__cause__
 
     def _name(self, path: str) -> Any:
         try:

@@ -53,10 +53,11 @@ class NameServer:
     Args:
         port: TCP port; 0 for any that is free, in up to five tries.
         address: interface to listen on.
-        folder: where it keeps its names between runs; None: nowhere.
+        folder: where it keeps its names between runs, made if need be; None: nowhere.
 
     Raises:
-        BridgeError: UNAVAILABLE when omniNames is not there or ends at once.
+        BridgeError: UNAVAILABLE when omniNames is not there or ends at once, or the folder cannot
+            be made.
         BridgeTimeoutError: it does not listen within 10 s.
     """
 
@@ -64,6 +65,12 @@ class NameServer:
         self, port: int = 0, address: str = "127.0.0.1", folder: Path | None = None
     ) -> None:
         self._maker = os.getpid()
+        if folder is not None:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)  # without it omniNames just ends
+            except OSError as error:
+                text = f"the folder of its names cannot be made: {error}"
+                raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         kept = folder if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
         self._own = None if folder is not None else kept
         tries = 1 if port else _TRIES
