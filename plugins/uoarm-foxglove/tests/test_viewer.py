@@ -185,6 +185,7 @@ def test_octets_of_another_type_of_ros_reach_no_input(serve: Serve) -> None:
     ("fields", "text"),
     [
         ({"id": 1, "topic": "/nothing", "encoding": "json"}, "/nothing: there is no such input"),
+        ({"id": 1, "topic": "/echo/in", "encoding": "json"}, "did you mean '/echo'?"),
         ({"id": 1, "topic": "/echo", "encoding": "protobuf"}, "expected cdr or json"),
         ({"id": -1, "topic": "/echo", "encoding": "json"}, "id: expected a number"),
         ({"id": 1, "encoding": "json"}, "topic: expected a text"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import difflib
 import functools
 import logging
 import time
@@ -74,6 +75,7 @@ _CAPABILITIES = [
 _OF_ROS_2 = {"ROS_DISTRO": "jazzy"}
 _NOT_SERVED = {"fetchAsset": "assets are not served"}
 _MOST_ERRORS = 3
+_SHOWN = 256  # of a name that is wrong
 
 
 class FoxgloveSession:
@@ -269,9 +271,11 @@ class FoxgloveSession:
             stated = text_of(asked, "schemaName") if "schemaName" in asked else ""
             topic = self._listing.inputs.get(name if name.startswith("/") else f"/{name}")
             if topic is None:
+                close = difflib.get_close_matches(name[:_SHOWN], self._listing.inputs, n=1)
+                called = "topics to publish to are called /FUNCTION, or /FUNCTION/INPUT of several"
+                to_do = f"did you mean {close[0]!r}?" if close else called
                 raise ControlMessageError(
-                    f"advertise: {name}: there is no such input; topics to publish to are called "
-                    "/FUNCTION or /FUNCTION/INPUT"
+                    f"advertise: {name[:_SHOWN]}: there is no such input; {to_do}"
                 )
             if number in self._publications:
                 raise ControlMessageError(f"advertise: id: {number} is in use")
