@@ -49,6 +49,7 @@ SCAN = closed(
     ranges={"type": "array", "items": NUMBER},
     mode={"enum": ["near", "far"]},
     pose=closed(x=NUMBER, y=NUMBER),
+    stamp={"type": "integer"},
     count={"type": "integer", "minimum": 0, "maximum": 9},
     pair={"type": "array", "prefixItems": [{"type": "string"}, {"type": "boolean"}],
           "items": False, "minItems": 2},
@@ -155,6 +156,7 @@ const robot = (await connect("ws://localhost")) as TypedRobot;
 const stream = await robot.request("scan");
 for await (const scan of stream) {
   const x: number = Number(scan.pose.x);
+  if (typeof scan.stamp === "string") BigInt(scan.stamp);
   const mode: "near" | "far" = scan.mode;
   const pair: [string, boolean] = scan.pair;
 }
@@ -167,6 +169,14 @@ await robot.call("add", { a: 1 });
 // @ts-expect-error
 const wrong: ScanOutput = {};
 """
+
+
+def test_a_wide_integer_may_be_its_digits_in_typescript() -> None:
+    wide = closed(at={"type": "integer"}, ratio=NUMBER)
+    text = write_typescript(read_functions(lock_of(scan={"output.default": wide})))
+    assert '"at": Integer;' in text
+    for kind in ("Integer = number | bigint | `${bigint}`;", "Real = Integer |"):
+        assert f"export type {kind}" in text, "as JSON.parse gives what the protocol writes"
 
 
 def test_a_structure_without_any_is_proven_to_be_its_type(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,10 +22,10 @@ _HEAD = """/** Messages of a robot; made by `uoarm types --typescript`, not to b
 
 import type { RequestOptions, Robot, Stream } from "./uoarm.js";
 
-/** With `binary` wide integers come as bigint. */
-export type Integer = number | bigint;
+/** Wide ones come as bigint with `binary`, without as their digits; `BigInt(value)` reads all. */
+export type Integer = number | bigint | `${bigint}`;
 /** Without `binary` what JSON has no number for comes as text; `Number(value)` reads all. */
-export type Real = number | bigint | "NaN" | "Infinity" | "-Infinity";
+export type Real = Integer | "NaN" | "Infinity" | "-Infinity";
 /** Base64, and with `binary` a Uint8Array; a list may be sent. */
 export type Octets = string | Uint8Array | number[];
 /** With `binary` arrays of numbers may come as typed arrays. */
