@@ -85,6 +85,27 @@ SHAPE = {
         *(2, 35, "$.bridges.python.host.memory", "expected text such as 512 MiB, got"),
     ),
     "a list": Bad("- 1\n", 1, 1, "$", "expected a mapping, got [1]"),
+    "bridges without names": Bad(
+        "version: 1\nbridges: {plugin: python}\nfunctions: {}\n",
+        2,
+        19,
+        "$.bridges.plugin",
+        "(the keys of bridges are names of bridges)",
+    ),
+    "inputs without names": Bad(
+        component("inputs: {endpoint: [x]}"),
+        5,
+        63,
+        f"{AT}.inputs.endpoint",
+        'got ["x"] (the keys of inputs are names of inputs; one alone',
+    ),
+    "limits without paths": Bad(
+        component("input: {endpoint: [x], limits: {minimum: 1}}"),
+        5,
+        85,
+        f"{AT}.input.limits.minimum",
+        "got 1 (the keys of limits are paths of numbers",
+    ),
     "a word": Bad("hello\n", 1, 1, "$", 'expected a mapping, got "hello"'),
     "no version": Bad("bridges: {}\nfunctions: {}\n", 1, 1, "$", 'the key "version" is missing'),
     "other version": Bad(

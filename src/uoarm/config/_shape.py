@@ -46,6 +46,12 @@ if TYPE_CHECKING:
 
 _DIALECT = "https://json-schema.org/draft/2020-12/"
 _RULE_KINDS = ("from", "const", "each")
+_FREE_KEYS = {
+    "bridges": "names of bridges", "functions": "names of functions",
+    "inputs": "names of inputs; one alone is `input`",
+    "outputs": "names of outputs; one alone is `output`",
+    "limits": "paths of numbers, such as linear.x", "offer": "names of bridges",
+}  # fmt: skip
 _PORT_PARTS = (
     "input", "output", "service", "offered_output", "offered_input", "offered_service",
 )  # fmt: skip
@@ -241,6 +247,13 @@ def _mistakes(error: ValidationError, speller: Speller) -> Iterator[Mistake]:
         yield path, f"the name {clip(value)} is not allowed", _NAME_HINT, False
     elif keyword == "anyOf":
         yield from _no_branch_fits(error, rules.get("x-kinds"), speller)
+    elif keyword == "type" and "additionalProperties" in [*error.absolute_schema_path][-3:]:
+        # An entry of a mapping whose keys are free: often its level was left out.
+        keys = _FREE_KEYS.get(str(path[-2]) if len(path) > 1 else "")
+        hint = f"the keys of {path[-2]} are {keys}" if keys else ""
+        yield from (
+            (*mistake[:2], mistake[2] or hint, mistake[3]) for mistake in mistakes(error, speller)
+        )
     else:
         yield from mistakes(error, speller)
 
