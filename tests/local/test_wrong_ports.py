@@ -69,6 +69,24 @@ class Step:
     def reset(self) -> None:
         pass
 
+    @staticmethod
+    def still(message: int) -> int:
+        return message
+
+    @classmethod
+    def whole(cls, message: int) -> int:
+        return message
+
+    @property
+    def gain(self) -> int:
+        return 1
+
+
+class Still:
+    @staticmethod
+    def __call__(message: int) -> int:
+        return message
+
 
 class Source:
     def __iter__(self) -> Iterator[int]:
@@ -102,6 +120,10 @@ WRONG = [
     ([taken("Step", "speed"), output("Step")], "inputs.speed", "no method 'speed' for the port"),
     ([taken("Step", "reset"), output("Step")], "inputs.reset", "takes no message"),
     ([taken("Step", "scaled"), output("Step")], "inputs.scaled", "nothing fills 'factor'"),
+    ([taken("Step", "still"), output("Step")], "inputs.still", "still is a staticmethod: a port"),
+    ([taken("Step", "whole"), output("Step")], "inputs.whole", "whole is a classmethod: a port"),
+    ([taken("Step", "gain"), output("Step")], "inputs.gain", "gain is a property: a port needs"),
+    ([service("Still")], "service", "__call__ is a staticmethod: a port needs a method"),
     ([service("ticks")], "service", "ticks takes no message"),
     ([service("several")], "service", "it yields messages, and a service returns one reply"),
     ([output("answered", TRUE)], "output", "it takes no message and yields none"),

@@ -174,7 +174,7 @@ class Target:
         if not self.is_class:
             return self.value
         if endpoint.role is Role.OUTPUT:
-            found = self.own(self.source_name() or "__call__")
+            found = self._own_method(self.source_name() or "__call__")
             if found is not None or any(
                 inspect.isfunction(item) and not name.startswith("_")
                 for name, item in inspect.getmembers(self.value)
@@ -183,7 +183,7 @@ class Target:
             text = f"{self.name} has no method that gives messages: __iter__, __call__ or others"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         name = "__call__" if endpoint.port == "default" else endpoint.port
-        found = self.own(name)
+        found = self._own_method(name)
         if found is None:
             text = f"{self.name} has no method {name!r} for the port {endpoint.port!r}"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
@@ -322,6 +322,22 @@ class Target:
         if any(name in vars(item) for item in self.value.__mro__):
             return getattr(self.value, name, None)
         return None
+
+    def _own_method(self, name: str) -> Any:
+        """Return a method of the class, which takes `self` first; None where it has none.
+
+        Raises:
+            BridgeError: it has something else of that name.
+        """
+        found = self.own(name)
+        written = inspect.getattr_static(self.value, name, None)
+        kind = type(written).__name__
+        if isinstance(written, staticmethod | classmethod) or not (
+            found is None or callable(found)
+        ):
+            text = f"{self.name}.{name} is a {kind}: a port needs a method, which takes self first"
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+        return found
 
     def _derived(
         self, part: str, endpoint: Endpoint, hints: Mapping[str, Any]
