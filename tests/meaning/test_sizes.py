@@ -64,6 +64,10 @@ def written(message: Any) -> int:
         ({"$ref": "#/$defs/a", "$defs": {"a": {"const": "abc"}}}, 5, 5),
         ({"$ref": "#a", "$defs": {"a": {"$anchor": "a", "const": "abc"}}}, 5, 5),
         ({"$ref": "#/anyOf/1", "anyOf": [True, {"const": "abc"}]}, 5, 5),
+        # As a message of another form of its number: 1, 1e+20, 0 and null.
+        ({"const": 1.0}, 1, 3),
+        ({"const": 10**20}, 5, 21),
+        ({"enum": [{"a": [-0.0, None]}]}, 14, 17),
         # Of a document within it, which has definitions of its own.
         ({"$id": "b", "$ref": "#/$defs/a", "$defs": {"a": {"const": "abc"}}}, 5, 5),
         ({"not": {"const": "abc"}, "anyOf": [{"$id": "b", "$ref": "#/not"}, {"const": 1}]}, 1, 1),

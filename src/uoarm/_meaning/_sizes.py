@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 from attrs import define, field
@@ -151,10 +152,11 @@ class _Walk:
 
     def _written(self, value: Any) -> Sizes:
         if self.is_json:
-            octets = _octets(value)
+            most, least = _octets(value), _octets(_shortest(value))
         else:
-            octets = len(value.encode("utf-8", "surrogatepass")) if isinstance(value, str) else 1
-        return Sizes(int(min(octets, _MOST_DIGITS)), octets)
+            most = len(value.encode("utf-8", "surrogatepass")) if isinstance(value, str) else 1
+            least = most
+        return Sizes(int(min(least, _MOST_DIGITS)), most)
 
 
 def _either(sizes: Iterable[Sizes]) -> Sizes:
@@ -169,6 +171,23 @@ def _number(schema: Mapping[str, Any], *, is_whole: bool) -> Sizes:
     if low is None or high is None:
         return Sizes(1, math.inf)
     return Sizes(1, max(_octets(int(low)), _octets(int(high))))
+
+
+def _shortest(value: Any) -> Any:
+    """Return a value equal to this one, with each number in the shortest of its forms.
+
+    A message with 1 or 1e+20 is equal to a `const` of 1.0 or of a one with twenty noughts.
+    """
+    if isinstance(value, dict):
+        return {name: _shortest(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_shortest(part) for part in value]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return value
+    with suppress(OverflowError):
+        forms = [form for form in (int(value), float(value)) if form == value]
+        return min(forms, key=_octets)
+    return value
 
 
 def _octets(value: Any) -> float:
