@@ -26,7 +26,7 @@ class Robot:
     def __init__(self) -> None:
         self.status = STATUS
         self.clock = ManualClock()
-        self.views = StatusViews(lambda: self.status, list, VIEWS, self.clock)
+        self.views = StatusViews(lambda: self.status, list, VIEWS, clock=self.clock)
 
     def ask(
         self, since: int | None = None, *, role: AccessRole = ALL, form: Form = TEXT_FORM

@@ -109,11 +109,6 @@ class Sockets:
             if not self._of_host[host]:
                 del self._of_host[host]
 
-    def check(self, now: float) -> None:
-        """Cut those off whose message does not end."""
-        for connection in self:
-            connection.check(now)
-
 
 class TurnConnection(ServerConnection):
     """A connection that is known from its first byte on, and refused when there are too many.

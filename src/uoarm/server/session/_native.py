@@ -75,17 +75,22 @@ class Shared:
         lists: of functions.
         status: the status map.
         recordings: that are written, and that are played.
-        sessions: that are open; only in the loop's thread.
+        sessions: that are open; changed in the loop's thread only.
         records: of what was not foreseen.
     """
 
     def __init__(self, registry: FeedRegistry, folder: Path) -> None:
         robot, views = registry.robot, registry.role_views
         self.lists = FunctionLists(lambda: robot.config, views)
-        self.status = StatusViews(robot.status, registry.past, views)
-        self.recordings = RecordingRequests(registry, folder)
         self.sessions: dict[NativeSession, None] = {}
+        self.status = StatusViews(robot.status, registry.past, views, self._who)
+        self.recordings = RecordingRequests(registry, folder)
         self.records = LimitedLog(_log)
+
+    def _who(self) -> list[dict[str, Any]]:
+        """Return whose sessions there are, in the thread of the views."""
+        # A copy, which the interpreter makes in one go: sessions come and go meanwhile.
+        return [session.who() for session in tuple(self.sessions)]
 
 
 class NativeSession:
@@ -151,16 +156,16 @@ class NativeSession:
     @property
     def is_in_use(self) -> bool:
         """Whether it has open functions, or something under way."""
-        return bool(self._tasks or self._calls or self._streams.counters())
+        return bool(self._tasks or self._calls or self._streams.connections())
 
     def who(self) -> dict[str, Any]:
-        """Return whose session it is, and which connections it has."""
+        """Return whose session it is, and which connections it has. From any thread."""
         return {
             "session": self._client.identity,
             "principal": self._client.principal,
             "role": self._client.role.name,
             "address": self._client.address,
-            "connections": [counter["connection"] for counter in self._streams.counters()],
+            "connections": self._streams.connections(),
         }
 
     def octets(self, frame: str | bytes) -> int:
@@ -421,16 +426,16 @@ class NativeSession:
         watches = asked.type == "watch"
         if asked.type == "unwatch":
             self._registry.unwatch(self._changed)
-        since = (asked.jsonMessage or {}).get("since")
-        question = StatusQuestion(self._client.role, self._form, since, past=watches)
+        options, role = asked.jsonMessage or {}, self._client.role
+        since, wants_clients = options.get("since"), bool(options.get("clients"))
+        # Names and addresses of others are for whom may see everything.
+        wants_others = wants_clients and role.allows_all(Operation.SEE)
+        question = StatusQuestion(role, self._form, since, past=watches, clients=wants_others)
         answer = await self._registry.views.get(self._shared.status.make, question)
         own, now = self._form.write(self._streams.counters()), self._form.write(time.time())
         parts = {**answer.fields, "own": own, "time": now}
-        if (asked.jsonMessage or {}).get("clients"):
-            # Names and addresses of others are for whom may see everything.
-            sees_all = self._client.role.allows_all(Operation.SEE)
-            sessions = tuple(self._shared.sessions) if sees_all else (self,)
-            parts["clients"] = self._form.write([session.who() for session in sessions])
+        if wants_clients and not wants_others:
+            parts["clients"] = self._form.write([self.who()])
         await self._emit_view(asked, self._form.map_of(parts))
         if watches and not self._registry.is_watched_by(self._changed):
             self._registry.watch(self._changed)

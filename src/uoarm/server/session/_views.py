@@ -272,12 +272,14 @@ class StatusQuestion:
         form: in which it wants the answer.
         since: the version that it has; None: it wants the whole map.
         past: whether it wants the last changes, too.
+        clients: whether it wants to know who is connected, too.
     """
 
     role: AccessRole
     form: Form
     since: int | None = None
     past: bool = False
+    clients: bool = False
 
 
 @frozen
@@ -301,12 +303,14 @@ class StatusViews:
         status: returns the whole status map.
         past: returns the last changes, and how many seconds ago they were.
         views: of roles.
+        clients: returns who is connected.
         clock: seconds.
     """
 
     _status: Callable[[], StatusMap]
     _past: Callable[[], list[tuple[float, StatusEvent]]]
     _views: RoleViews
+    _clients: Callable[[], list[dict[str, Any]]] = list
     _clock: Clock = time.monotonic
     _boards: OrderedDict[AccessRole, _RoleStatus] = field(factory=OrderedDict, init=False)
 
@@ -328,6 +332,8 @@ class StatusViews:
             if question.past:
                 shown = _shown_past(past, views[question.role])
                 reports["past"] = question.form.write(shown)
+            if question.clients:
+                reports["clients"] = question.form.write(self._clients())
             answers[question] = StatusAnswer(reports, number)
         return answers
 

@@ -218,6 +218,10 @@ class ClientStreams:
         for identity in list(self._streams):
             self._remove(identity, f"{self._holder} has gone, who used it last")
 
+    def connections(self) -> list[str]:
+        """Return their ids. From any thread."""
+        return list(self._streams)
+
     def counters(self) -> list[dict[str, object]]:
         """Return what came and what was lost, for each connection."""
         return [

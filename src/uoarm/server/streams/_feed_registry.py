@@ -61,6 +61,8 @@ _READ_TEXT = functools.partial(read_message, TEXT_FORM)
 _REMEMBERED = 200
 _CLOSINGS = 8
 _STOP_SECONDS = 2.0
+_AGAIN_SECONDS = 1.0
+_KILLS_AT_ONCE = 20
 _STOPS = 16
 _ENDS = frozenset({"closed", "failed"})
 
@@ -136,6 +138,7 @@ class FeedRegistry:
         self._receiving: defaultdict[str, set[asyncio.Task[None]]] = defaultdict(set)
         # Connections that are being ended, so that a second kill waits for the same end.
         self._kills: dict[str, asyncio.Future[None]] = {}
+        self._to_kill: deque[tuple[Connection, str]] = deque()
         # Ends under way by function: a bridge that hangs in closing must not collect threads.
         self._closings: Counter[str] = Counter()
         # Half of the threads, so that what can be had does not wait for what cannot.
@@ -240,7 +243,19 @@ class FeedRegistry:
             # ends.
             self._forget(feed)
             if feed.connection is not None and not feed.connection.ended:
-                self.kill(feed.connection, cause or "no client uses it any more")
+                self._to_kill.append((feed.connection, cause or "no client uses it any more"))
+                if len(self._to_kill) == 1:
+                    asyncio.get_running_loop().call_soon(self._kill_some)
+
+    def _kill_some(self) -> None:
+        """Kill what was left, a few in each of the loop's turns: a client may leave a thousand."""
+        for _ in range(min(_KILLS_AT_ONCE, len(self._to_kill))):
+            connection, cause = self._to_kill[0]
+            if not connection.ended:
+                self.kill(connection, cause)
+            self._to_kill.popleft()  # not before: while there are any, a turn is asked for
+        if self._to_kill:
+            asyncio.get_running_loop().call_soon(self._kill_some)
 
     def sender(
         self,
@@ -271,9 +286,14 @@ class FeedRegistry:
 
         def ended(done: asyncio.Future[None]) -> None:
             del self._kills[connection.id]
-            self._closings -= Counter({function: 1})
+            # Not `Counter.__isub__`, which looks at all functions each time.
+            self._closings[function] -= 1
+            if not self._closings[function]:
+                del self._closings[function]
             if not done.cancelled() and isinstance(error := done.exception(), UoarmError):
                 _log.warning("closing connection %s: %s", connection.id, error)
+                if isinstance(error, BusyError):  # there was no thread for it
+                    done.get_loop().call_later(_AGAIN_SECONDS, self.kill, connection, cause)
 
         kill = functools.partial(connection._kill, cause)  # noqa: SLF001 - of the house
         # Entered before its callback is added, which takes it out.
@@ -466,6 +486,8 @@ class FeedRegistry:
             # However many clients still have it: the server stops, and this is the last claim.
             self._claims[feed] = 1
             self.leave(feed, "the server stops")
+        while self._to_kill:
+            self._kill_some()
         if self._kills:
             await asyncio.wait(self._kills.values(), timeout=self.limits.stop_seconds / 4)
         # After the kills, which need its threads; the mailbox last, which brings their outcomes.

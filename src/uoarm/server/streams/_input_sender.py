@@ -208,7 +208,7 @@ class InputSender:
         while self._stops:
             self._conclude(self._stops.popleft()[1], self._has_ended())
         if self._has_lease():
-            self._workers.stop(lambda: self._connection.leave(self._holder))
+            self._workers.leave(lambda: self._connection.leave(self._holder))
         while self._waiting:
             queued = self._waiting.popleft()
             queued.charge.release()

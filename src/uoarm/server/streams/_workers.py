@@ -24,18 +24,18 @@ _YOUNG_SECONDS = 0.02
 _LATE_SECONDS = 0.005
 
 
-class OpeningTurns:
-    """Says when the next opening may begin. A plain state for the loop's thread, without a clock.
+class ThreadTurns:
+    """Says when the next job may begin. A plain state for the loop's thread, without a clock.
 
-    An opening that waits for a component or for a middleware takes no processor, so that many go
-    side by side. Those that compute are no sooner done for it: their threads take the interpreter's
-    lock from one another and from the loop, and the more there are, the more of the processor goes
-    into that. Which of both it is shows in time: one that has been under way for 20 ms waits,
-    provided that the loop itself came to look in time. Where it did not, no thread got the
-    processor, and the ages say nothing.
+    A job that waits for a component or for a middleware takes no processor, so that many go side by
+    side. Those that compute are no sooner done for it: their threads take the interpreter's lock
+    from one another and from the loop, and the more there are, the more of the processor goes into
+    that. Which of both it is shows in time: one that has been under way for 20 ms waits, provided
+    that the loop itself came to look in time. Where it did not, no thread got the processor, and
+    the ages say nothing.
 
     Args:
-        limit: openings under way, at most.
+        limit: jobs under way, at most.
     """
 
     look_seconds = _YOUNG_SECONDS
@@ -52,14 +52,14 @@ class OpeningTurns:
         young = len(self._young)
         return young < _AT_ONCE and young + len(self._waiting) < self._limit
 
-    def begin(self, opening: object, now: float) -> None:
+    def begin(self, job: object, now: float) -> None:
         """Note that one has begun; its age counts from now on."""
-        self._young[opening] = now
+        self._young[job] = now
 
-    def end(self, opening: object) -> None:
+    def end(self, job: object) -> None:
         """Note that one is over."""
-        self._young.pop(opening, None)
-        self._waiting.discard(opening)
+        self._young.pop(job, None)
+        self._waiting.discard(job)
 
     def look(self, due: float, now: float) -> None:
         """Find out which of them wait instead of computing; `due` is when this was to be called."""
@@ -179,8 +179,114 @@ class LoopMailbox:
 
 T = TypeVar("T")
 CallEnded: TypeAlias = Callable[[Any, "Exception | None"], object]
-_FREEING = 16
+_FREEING = _LEAVING = 16
 _GLANCE_SECONDS = 0.05
+
+
+class TurnPool:
+    """Threads for jobs that open or free something, each of which waits for its turn.
+
+    See `ThreadTurns`; those of each client have their turn after one of every other. All of it is
+    for the loop's thread.
+
+    Args:
+        name: of the threads.
+        limit: jobs under way, where no client needs its share of them; twice as many at most.
+        mailbox: brings results back into the loop.
+        idle_seconds: how long a thread waits for the next job.
+    """
+
+    def __init__(
+        self, name: str, limit: int, mailbox: LoopMailbox, *, idle_seconds: float = 10.0
+    ) -> None:
+        self._mailbox = mailbox
+        self._pool = WorkerPool(name, 2 * limit, idle_seconds=idle_seconds)
+        self._taken = Shares(limit)
+        self._turns = ThreadTurns(2 * limit)
+        self._waiting: dict[Hashable, deque[Callable[[], None]]] = {}
+        self._look: asyncio.TimerHandle | None = None
+
+    @property
+    def busy(self) -> int:
+        """Jobs under way or waiting for their turn."""
+        return self._pool.busy + sum(map(len, self._waiting.values()))
+
+    def submit(self, action: Callable[[], T]) -> asyncio.Future[T]:
+        """Run an action after those before it; the future has its result.
+
+        Each is bounded in time by itself, and the caller bounds how many there are.
+
+        Raises:
+            BusyError: the server is closing.
+        """
+        if self._pool.closed:
+            raise _closing()
+        future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
+        owner = acting.get()
+        waiting = self._waiting.setdefault(owner, deque())
+        waiting.append(lambda: self._begin(action, owner, future))
+        self._begin_next()
+        return future
+
+    def close(self) -> None:
+        """Take no more; those that were taken are done still."""
+        for waiting in self._waiting.values():
+            for begin in waiting:
+                begin()
+        # Begun above, not dropped: who waits for one has an answer, and each ends by its own limit.
+        self._waiting.clear()
+        self._pool.close(drop=False)
+
+    def _begin(self, action: Callable[[], T], owner: Hashable, future: asyncio.Future[T]) -> None:
+        # Before the thread gets it, which may be done with it at once.
+        self._turns.begin(future, asyncio.get_running_loop().time())
+        self._taken.take(owner)
+
+        def done(result: T, error: BaseException | None) -> None:
+            self._mailbox.put(lambda: self._end(owner, future, result, error))
+
+        try:
+            self._pool.submit(action, done=done)
+        except RuntimeError as error:
+            # Later, as for any other: who asked for it has no future yet.
+            refused = _no_threads(error)
+            self._mailbox.put(lambda: self._end(owner, future, None, refused))
+
+    def _end(
+        self,
+        owner: Hashable,
+        future: asyncio.Future[Any],
+        result: object,
+        error: BaseException | None,
+    ) -> None:
+        # Given back before the next begins, and before the client goes on, which may open at once.
+        self._taken.take(owner, -1)
+        self._turns.end(future)
+        settle(future, result, error)
+        self._begin_next()
+
+    def _begin_next(self) -> None:
+        """Begin what may begin, and look again when some of it may be found to wait."""
+        while self._turns.may_begin:
+            # The first in the order of clients that has less than its share; `self` stands for
+            # none.
+            owner = next(filter(self._taken.admits, self._waiting), self)
+            if owner is self:
+                break
+            waiting = self._waiting.pop(owner)
+            begin = waiting.popleft()
+            if waiting:  # after one of every other
+                self._waiting[owner] = waiting
+            begin()
+        if self._waiting and self._look is None:
+            loop = asyncio.get_running_loop()
+            due = loop.time() + self._turns.look_seconds
+            self._look = loop.call_at(due, self._look_again, due)
+
+    def _look_again(self, due: float) -> None:
+        self._look = None
+        self._turns.look(due, asyncio.get_running_loop().time())
+        self._begin_next()
 
 
 class Workers:
@@ -192,8 +298,7 @@ class Workers:
 
     Args:
         limit: calls at one time; one that finds no thread free is refused, never queued.
-        openings: what is being opened at one time; the others wait, see `OpeningTurns`, and those
-            of each client have their turn after one of every other.
+        openings: what is being opened at one time; the others wait, see `TurnPool`.
         mailbox: brings results back into the loop.
     """
 
@@ -202,21 +307,18 @@ class Workers:
         self._mailbox = mailbox
         self._asking = WorkerPool("uoarm-serve-call", 2 * limit)
         self._asked = Shares(limit)
-        self._opening = WorkerPool("uoarm-serve-open", 2 * openings)
-        self._opened_by = Shares(openings)
-        self._freeing = WorkerPool("uoarm-serve-free", _FREEING)
+        self._opening = TurnPool("uoarm-serve-open", openings, mailbox)
+        self._freeing = TurnPool("uoarm-serve-free", _FREEING, mailbox)
         self._stopping = WorkerPool("uoarm-serve-stop")
-        self._turns = OpeningTurns(2 * openings)
+        self._leaving = WorkerPool("uoarm-serve-leave", _LEAVING, patience=_YOUNG_SECONDS)
+        self._records = LimitedLog(_log)
         # Calls under way, each with what takes its end. Looked at while there are any.
         self._calls: dict[deadlines.StepUnderWay, tuple[Hashable, CallEnded]] = {}
-        self._to_open: dict[Hashable, deque[Callable[[], None]]] = {}
-        self._look: asyncio.TimerHandle | None = None
 
     @property
     def busy(self) -> int:
         """Jobs under way or waiting for a thread."""
-        opening = self._opening.busy + sum(map(len, self._to_open.values()))
-        return self._asking.busy + len(self._calls) + opening + self._freeing.busy
+        return self._asking.busy + len(self._calls) + self._opening.busy + self._freeing.busy
 
     @property
     def stopping(self) -> int:
@@ -265,7 +367,10 @@ class Workers:
         is_first = not self._calls
         # It may be done in its thread before `step` is assigned: its end is looked up in the loop,
         # after this.
-        step = deadlines.begin("a call", action, done)
+        try:
+            step = deadlines.begin("a call", action, done)
+        except RuntimeError as error:
+            raise _no_threads(error) from error
         self._calls[step] = owner, ended
         self._asked.take(owner)
         if is_first:
@@ -294,29 +399,15 @@ class Workers:
             raise BusyError(f"all {self._limit} workers are taken by requests that still wait")
 
     def open(self, action: Callable[[], T]) -> asyncio.Future[T]:
-        """Run an action that opens something; it waits for its turn after those before it.
-
-        Each is bounded in time by itself, and the caller bounds how many there are.
-
-        Raises:
-            BusyError: the server is closing.
-        """
-        if self._opening.closed:
-            raise _closing()
-        future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-        owner = acting.get()
-        waiting = self._to_open.setdefault(owner, deque())
-        waiting.append(lambda: self._begin(action, owner, future))
-        self._open_next()
-        return future
+        """Run an action that opens something, when it is its turn; see `TurnPool.submit`."""
+        return self._opening.submit(action)
 
     def free(self, action: Callable[[], T]) -> asyncio.Future[T]:
-        """Run an action that frees something, when all workers are taken, too.
+        """Run an action that frees something, when all workers are taken, and after a close, too.
 
-        Never refused; it waits for those before it. Each is bounded in time by itself, and the
-        caller bounds how many there are.
+        When it is its turn; see `TurnPool.submit`.
         """
-        return self._submit(self._freeing, action)
+        return self._freeing.submit(action)
 
     def stop(self, action: Callable[[], T]) -> asyncio.Future[T]:
         """Run what stops the robot, or lets it go on: at once, whatever the other threads wait for.
@@ -325,67 +416,29 @@ class Workers:
         """
         return self._submit(self._stopping, action)
 
+    def leave(self, action: Callable[[], object]) -> None:
+        """Run what stops something that a client moved which has gone. From any thread.
+
+        A few side by side, whatever the other threads wait for: a client may move a thousand
+        inputs. Those that hang get more threads beside them.
+        """
+        try:
+            self._leaving.submit(action)
+        except RuntimeError as error:
+            text = "what a client moved is stopped by its lease alone"
+            self._records.write(logging.ERROR, text, error)
+
     def close(self) -> None:
         """Start no more actions; those that were taken are done still. Idempotent."""
-        for waiting in self._to_open.values():
-            for begin in waiting:
-                begin()
-        # Begun above, not dropped: their clients wait for an answer, and each ends by its own
-        # limit.
-        self._to_open.clear()
         self._asking.close(drop=False)
-        self._opening.close(drop=False)
+        self._opening.close()
         self._stopping.close(drop=False)
-        self._freeing.close(drop=False)
+        self._leaving.close(drop=False)
+        self._freeing.close()
         # What was being opened until now is to be freed, and stopped, by threads that do not stay.
-        self._freeing = WorkerPool("uoarm-serve-free", _FREEING, idle_seconds=0)
+        self._freeing = TurnPool("uoarm-serve-free", _FREEING, self._mailbox, idle_seconds=0)
         self._stopping = WorkerPool("uoarm-serve-stop", idle_seconds=0)
-
-    def _begin(self, action: Callable[[], T], owner: Hashable, future: asyncio.Future[T]) -> None:
-        # Before the thread gets it, which may be done with it at once.
-        self._turns.begin(future, asyncio.get_running_loop().time())
-        self._opened_by.take(owner)
-
-        def done(result: T, error: BaseException | None) -> None:
-            self._mailbox.put(lambda: self._opened(owner, future, result, error))
-
-        self._opening.submit(action, done=done)
-
-    def _opened(
-        self,
-        owner: Hashable,
-        future: asyncio.Future[T],
-        result: T,
-        error: BaseException | None,
-    ) -> None:
-        # Given back before the next begins, and before the client goes on, which may open at once.
-        self._opened_by.take(owner, -1)
-        self._turns.end(future)
-        settle(future, result, error)
-        self._open_next()
-
-    def _open_next(self) -> None:
-        """Begin what may begin, and look again when some of it may be found to wait."""
-        while self._turns.may_begin:
-            # The first in the order of clients that has less than its share; `self` stands for
-            # none.
-            owner = next(filter(self._opened_by.admits, self._to_open), self)
-            if owner is self:
-                break
-            waiting = self._to_open.pop(owner)
-            begin = waiting.popleft()
-            if waiting:  # after one of every other
-                self._to_open[owner] = waiting
-            begin()
-        if self._to_open and self._look is None:
-            loop = asyncio.get_running_loop()
-            due = loop.time() + self._turns.look_seconds
-            self._look = loop.call_at(due, self._look_again, due)
-
-    def _look_again(self, due: float) -> None:
-        self._look = None
-        self._turns.look(due, asyncio.get_running_loop().time())
-        self._open_next()
+        self._leaving = WorkerPool("uoarm-serve-leave", _LEAVING, idle_seconds=0)
 
     def _submit(
         self, pool: WorkerPool, action: Callable[[], T], ended: Callable[[], None] = lambda: None
@@ -396,15 +449,24 @@ class Workers:
             ended()
             settle(future, result, error)
 
-        if not pool.submit(
-            action, done=lambda result, error: self._mailbox.put(lambda: finish(result, error))
-        ):
+        def done(result: T, error: BaseException | None) -> None:
+            self._mailbox.put(lambda: finish(result, error))
+
+        try:
+            is_taken = pool.submit(action, done=done)
+        except RuntimeError as error:
+            raise _no_threads(error) from error
+        if not is_taken:
             raise _closing()
         return future
 
 
 def _closing() -> BusyError:
     return BusyError("the server is closing")
+
+
+def _no_threads(error: RuntimeError) -> BusyError:
+    return BusyError(f"the system gives no more threads: {error}")
 
 
 def settle(future: asyncio.Future[T], result: T, error: BaseException | None) -> None:
