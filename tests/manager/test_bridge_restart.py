@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager
-from uoarm.bridge import BridgeType, Registry
+from uoarm.bridge import BridgeType, HealthEvent, Registry
 from uoarm.config import loads
 from uoarm.model import Health, StatusEvent
 from uoarm.testing import Collector, MemoryBridge, hanging, patience, wait
@@ -88,6 +88,20 @@ def test_what_a_lost_one_still_reports_is_not_about_the_next(scene: Scene) -> No
     assert scene.changes("bridge one").count("lost") == 1
     assert "component camera" not in {event.subject for event in scene.events}
     assert connection.gaps == ()
+    assert not connection.ended
+
+
+def test_what_was_on_its_way_as_one_was_lost_is_not_about_the_next(scene: Scene) -> None:
+    scene.robot.resolve("camera")
+    (lost,) = scene.made["one"]
+    report = lost._listener  # a thread that has read it, and goes on when all is over
+    assert report is not None
+    _lose(scene, lost)
+    connection = scene.robot.request("camera")
+    report(HealthEvent("one", Health.LOST, "it fell once more"))
+    report(HealthEvent("one", Health.LOST, "and again", component="camera"))
+    assert scene.robot.request("camera").plan == connection.plan
+    assert len(scene.made["one"]) == 2
     assert not connection.ended
 
 

@@ -183,7 +183,7 @@ class BridgeSet:
         self.machines = Machines(specs, listening, self._note_health, self._state)
         for name, bridge in ready.items():
             self._bridges[name] = bridge
-            bridge.watch(self._note_health)
+            self._watch(name, bridge)
 
     def show(self, status: Callable[[], StatusMap]) -> None:
         """Have bridges of this process read the manager's status; before any of them is used."""
@@ -220,7 +220,7 @@ class BridgeSet:
                 if keep:
                     self._bridges[name] = bridge
                     was_lost = self._health.pop(name, _FINE)[0] is Health.LOST
-                    bridge.watch(self._note_health)
+                    self._watch(name, bridge)
         if not keep:
             bridge.close()
             self._require_open()
@@ -286,7 +286,7 @@ class BridgeSet:
                 new = staged.made.pop(name, None)
                 if new is not None:
                     self._bridges[name] = new
-                    new.watch(self._note_health)
+                    self._watch(name, new)
         self.machines.adopt(staged.joining, frozenset(changed))
 
     def retire_replaced(self, in_use: Callable[[Bridge], bool]) -> None:
@@ -358,6 +358,17 @@ class BridgeSet:
     def _require_open(self) -> None:
         if self._closed:
             raise ConnectionClosedError("the robot manager is closed")
+
+    def _watch(self, name: str, bridge: Bridge) -> None:
+        """Take what a bridge reports, which is listed, as long as it bears the name."""
+
+        # Looked at again as it arrives: a thread that was about to report as another one reported
+        # the loss must not have the next instance lost, too.
+        def note(event: HealthEvent) -> None:
+            if self._bridges.get(name) is bridge:
+                self._note_health(event)
+
+        bridge.watch(note)
 
     def _note_health(self, event: HealthEvent) -> None:
         """Note what happens to a whole bridge, then notify the listener.
