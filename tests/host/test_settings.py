@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from uoarm._host.process_connection import HostSettings
+from uoarm._host.process_connection import HostProcess, HostSettings
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 
@@ -70,3 +70,9 @@ def test_what_is_no_size_is_refused_with_its_place(written: str) -> None:
     text = f"version: 1\nbridges: {{far: {{plugin: python, host: {{memory: {written}}}}}}}\n"
     with pytest.raises(ConfigurationError, match=r"host\.memory"):
         loads(text + "functions: {}\n")
+
+
+@pytest.mark.parametrize("name", ["A=B", "A\0B"])
+def test_a_variable_that_no_process_can_have_is_named(name: str) -> None:
+    with pytest.raises(BridgeError, match="bridge host 'x' could not be started: "):
+        HostProcess("x", [sys.executable, "-c", ""], {name: "c"}, lambda _: None)

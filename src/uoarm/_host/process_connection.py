@@ -72,13 +72,13 @@ class HostProcess:
         self._last: deque[str] = deque(maxlen=5)
         self._gone = threading.Event()
         self._signalling = threading.Lock()
-        started: SimpleQueue[subprocess.Popen[bytes] | OSError] = SimpleQueue()
+        started: SimpleQueue[subprocess.Popen[bytes] | Exception] = SimpleQueue()
         self._waiter = threading.Thread(
             target=self._run, args=(started,), name=f"uoarm-host-{name}", daemon=True
         )
         self._waiter.start()
         process = started.get()
-        if isinstance(process, OSError):
+        if isinstance(process, Exception):
             text = f"bridge host {name!r} could not be started: {process}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from process
         self._process = process
@@ -155,7 +155,7 @@ class HostProcess:
         except (ProcessLookupError, PermissionError):
             self._log.debug("signal %d finds no process", number)
 
-    def _run(self, started: SimpleQueue[subprocess.Popen[bytes] | OSError]) -> None:
+    def _run(self, started: SimpleQueue[subprocess.Popen[bytes] | Exception]) -> None:
         try:
             process = subprocess.Popen(  # noqa: S603 - the configured interpreter
                 self._command,
@@ -169,7 +169,7 @@ class HostProcess:
             assert isinstance(process.stdin, BufferedWriter), "stdin is a pipe"
             # A child that is forked would hold open what shows the host that we died.
             close_in_children(process.stdin.raw)
-        except OSError as error:
+        except Exception as error:  # noqa: BLE001 - such as a variable that no process can have
             started.put(error)
             return
         started.put(process)
