@@ -494,6 +494,33 @@ def test_frames_that_are_none_and_frames_that_came_before_change_nothing_but_a_c
     assert taker.endings == []
 
 
+def test_an_end_that_another_thread_says_comes_behind_the_message_under_way(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = FlowSender(far, "flow/1", patience=patience())
+    publish, is_sending, go_on = far.publish, threading.Event(), threading.Event()
+
+    def hold_up(key: str, payload: bytes, header: bytes, *, must_arrive: bool = False) -> None:
+        if not must_arrive:
+            is_sending.set()
+            assert go_on.wait(patience())
+        publish(key, payload, header, must_arrive=must_arrive)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(far, "publish", hold_up)
+        sending = Background(lambda: outgoing.send("last"))
+        assert is_sending.wait(patience())
+        ending = Background(lambda: outgoing.finish(FlowEnding("finished", "all was said")))
+        wait(lambda: not ending._thread.is_alive() or outgoing._putting.locked())
+        go_on.set()
+        sending.result()
+        ending.result()
+    wait(lambda: taker.endings)
+    wait(lambda: taker.got == ["last"])
+    assert (incoming.lost, incoming.failed) == (0, 0)
+
+
 def test_confirmations_that_are_none_change_nothing(ends: Ends) -> None:
     near, far = ends
     outgoing = FlowSender(far, "flow/1", patience=patience())

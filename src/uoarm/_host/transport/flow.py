@@ -86,7 +86,7 @@ class Handled:
 
 
 class FlowSender:
-    """The sending end of a flow. `send` is called by one thread at a time.
+    """The sending end of a flow. `send` is called by one thread at a time, `finish` by any.
 
     Args:
         transport: carries it.
@@ -98,7 +98,11 @@ class FlowSender:
         self._transport = transport
         self._key = key
         self.patience = patience
-        # Written by the one thread that sends, and read by that which takes confirmations.
+        # Held from a frame's number until it is out: the end may be said by another thread than
+        # that which sends, and the other end drops a number that is late.
+        self._putting = threading.Lock()
+        # Written with it, or by the one thread that sends, and read by that which takes
+        # confirmations.
         self._number = 0
         self._skipped = 0
         self._handled = 0
@@ -209,16 +213,17 @@ class FlowSender:
         *,
         must_arrive: bool = False,
     ) -> None:
-        # Before it is published: its confirmation may come before `publish` returns.
-        self._number += 1
-        header = _HEADER.pack(_IS_HEADER, self._number, self._skipped, sent_at)
-        if more is not None:
-            header += msgpack.packb(more)
-        try:
-            self._transport.publish(self._key, frame, header, must_arrive=must_arrive)
-        except BridgeError:
-            self._number -= 1  # who gets the error counts it: as sent, it would be lost as well
-            raise
+        with self._putting:
+            # Before it is published: its confirmation may come before `publish` returns.
+            self._number += 1
+            header = _HEADER.pack(_IS_HEADER, self._number, self._skipped, sent_at)
+            if more is not None:
+                header += msgpack.packb(more)
+            try:
+                self._transport.publish(self._key, frame, header, must_arrive=must_arrive)
+            except BridgeError:
+                self._number -= 1  # who gets the error counts it: as sent, it would be lost as well
+                raise
 
     def _wait_for_room(self) -> None:
         """Return when there is room; without any, let one message a while through as a try.
