@@ -11,12 +11,15 @@ import pytest
 from typing_extensions import NotRequired
 
 from uoarm import RobotManager
+from uoarm._support.workers import WorkerPool
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.local import HintError, Octets, PythonBridge, PythonOptions, Range, UInt8, schema_of
+from uoarm.local._instance import Instance
+from uoarm.local._loop import Coroutines, LoopThread
 from uoarm.local._target import Target
 from uoarm.model import Endpoint, Role
-from uoarm.testing import Background, patience
+from uoarm.testing import Background, patience, wait
 
 HERE = "tests.local.test_python_bridge"
 
@@ -87,6 +90,28 @@ def test_a_service_is_built_once_and_closed_with_the_bridge() -> None:
     assert answers == [{"x": 2}, {"x": 4}, {"x": 6}]
     assert Queue.open_ones == 1
     bridge.close()
+    assert Queue.open_ones == 0
+
+
+class Slow(Queue):
+    """One that is built while its bridge closes."""
+
+    begun, go_on = threading.Event(), threading.Event()
+
+    def __init__(self) -> None:
+        self.begun.set()
+        assert self.go_on.wait(patience())
+        super().__init__()
+
+
+def test_a_service_that_is_built_as_the_bridge_closes_is_closed_after_its_call() -> None:
+    bridge = PythonBridge("p", PythonOptions())
+    endpoint = Endpoint("p", "slow", Role.SERVICE, (f"{HERE}:Slow",))
+    call = Background(lambda: bridge.call(endpoint, {"x": 2}, timeout=patience()))
+    assert Slow.begun.wait(patience())
+    bridge.close()
+    Slow.go_on.set()
+    call.result()
     assert Queue.open_ones == 0
 
 
@@ -216,3 +241,27 @@ def test_a_missing_package_makes_a_component_unavailable(
     ) as caught:
         describe("needs_much:x", Role.OUTPUT)
     assert caught.value.reason is FailureReason.UNAVAILABLE
+
+
+def test_a_receiver_that_comes_as_another_one_leaves_is_not_forgotten() -> None:
+    target = Target("change", change)
+    loop, workers = LoopThread("loop"), WorkerPool("source")
+    instance = Instance(target, {}, Coroutines(loop, patience()), workers)
+    leaving: list[Background[None]] = []
+
+    class Racing(dict[str, Any]):
+        """Has a receiver leave as another thread looks who is there."""
+
+        def get(self, *given: Any) -> Any:
+            found = super().get(*given)
+            leaving.append(Background(lambda: instance.remove_receiver("default", "old")))
+            wait(lambda: not leaving[0]._thread.is_alive() or instance._receiving.locked())
+            return found
+
+    got: list[Any] = []
+    instance.add_receiver("default", "old", got.append)
+    instance._receivers = Racing(instance._receivers)
+    instance.add_receiver("default", "new", got.append)
+    leaving[0].result()
+    assert [key for key, _ in instance._receivers["default"]] == ["new"]
+    workers.close()

@@ -242,12 +242,14 @@ class PythonBridge(Bridge):
         del structures
         slot, instance = self._enter(endpoint, self._of_address(endpoint.address))
         with self._counting:
-            is_first = slot not in self._services
-            self._services.add(slot)
+            # The first call's use lasts as long as the bridge, which may be closed by now.
+            stays = not self.closed and slot not in self._services
+            if stays:
+                self._services.add(slot)
         try:
             return instance.answer(endpoint, message, timeout)
         finally:
-            if not is_first:  # the first call's use lasts as long as the bridge
+            if not stays:
                 self._leave(slot)
 
     def _close(self) -> None:
@@ -257,12 +259,13 @@ class PythonBridge(Bridge):
         in foreign code when the interpreter ends may take the whole process down with it.
         """
         failure: Exception | None = None
-        for slot in self._services:
+        with self._counting:
+            services, self._services = self._services, set()
+        for slot in services:
             try:
                 foreign(self._leave, slot)
             except Exception as error:  # noqa: BLE001 - the others must be closed, too
                 failure = failure or error
-        self._services.clear()
         self._workers.close(drop=False)
         deadline = time.monotonic() + _SOURCE_SECONDS
         pause = threading.Event()

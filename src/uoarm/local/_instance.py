@@ -199,13 +199,15 @@ class Instance:
 
     def add_receiver(self, port: str, key: Hashable, deliver: Deliver) -> None:
         """Send what the component emits at a port to one more receiver."""
-        self._receive(port, (*self._receivers.get(port, ()), (key, deliver)))
+        with self._receiving:
+            others = self._receivers.get(port, ())
+            self._receivers = {**self._receivers, port: (*others, (key, deliver))}
 
     def remove_receiver(self, port: str, key: Hashable) -> None:
         """Send a receiver nothing more but what is under way, which its channel counts."""
-        self._receive(
-            port, tuple(receiver for receiver in self._receivers[port] if receiver[0] is not key)
-        )
+        with self._receiving:
+            others = tuple(item for item in self._receivers[port] if item[0] is not key)
+            self._receivers = {**self._receivers, port: others}
 
     def feed(self, endpoint: Endpoint) -> Callable[[Message], None]:
         """Return a function that hands a message to an input and emits what comes back.
@@ -302,10 +304,6 @@ class Instance:
             made.close()
         text = f"{self._target.name} returned {type(made).__name__}, expected messages"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
-
-    def _receive(self, port: str, receivers: tuple[tuple[Hashable, Deliver], ...]) -> None:
-        with self._receiving:
-            self._receivers = {**self._receivers, port: receivers}
 
     def _emitter(self, write: Write) -> Callable[[Any], None]:
         """Return what takes the next message of the source, for those who receive it now."""
