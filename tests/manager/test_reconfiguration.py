@@ -17,7 +17,7 @@ from uoarm._control.live import revisions
 from uoarm._parts import ApplicationPorts
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
-from uoarm.errors import ConfigurationError, UsageError
+from uoarm.errors import ConfigurationError, ConnectionClosedError, UsageError
 from uoarm.model import Effect, Options
 from uoarm.testing import Background, Emitter, MemoryBridge, patience, wait
 
@@ -262,6 +262,19 @@ def test_a_change_that_is_refused_leaves_no_bridge_behind(
         before, after = (memory_bridge for memory_bridge in made if memory_bridge.name == "two")
         assert after.closed
         assert not before.closed
+
+
+def test_a_change_that_comes_as_the_manager_closes_leaves_no_bridge_behind(
+    registry: Registry, made: list[MemoryBridge], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = ROBOT.replace("two: {plugin: memory}", "two: {plugin: memory, options: {level: 2}}")
+    robot = RobotManager(loads(ROBOT), registry=registry)
+    robot.request("lamp")
+    monkeypatch.setattr(robot, "_require_none_ends", lambda _: robot.close())
+    with pytest.raises(ConnectionClosedError, match="the robot manager is closed"):
+        robot.apply(loads(other))
+    assert len(made) > 1
+    assert all(bridge.closed for bridge in made)
 
 
 def test_a_new_function_and_a_new_bridge_can_be_requested(

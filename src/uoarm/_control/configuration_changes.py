@@ -116,8 +116,13 @@ class ConfiguredRobot:
                     self._require_none_ends(staged)
                 self._watch_rates(robot)
                 with self._file.written(robot.text) if keep else nullcontext():
-                    refused.pop_all()  # from here on the bridges are those in force
-                    self._driver.configure(staged, timeout)
+                    # From here on the bridges are those in force, unless it was closed meanwhile.
+                    closing = refused.pop_all()
+                    try:
+                        self._driver.configure(staged, timeout)
+                    except ConnectionClosedError:
+                        closing.close()
+                        raise
                     self._driver.offers.follow()
             if keep:
                 self._revisions.note_kept()

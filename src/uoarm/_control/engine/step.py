@@ -350,6 +350,14 @@ def _stopped(draft: Draft, event: ev.Stopped) -> None:
     _reply_when_closed(draft)
 
 
+def _configured(draft: Draft, event: ev.Configured) -> None:
+    # Its bridges would be in force after the others were closed, and stay open.
+    if draft.is_closing:
+        draft.do(act.Reply(event.waiter, ConnectionClosedError(_CLOSED)))
+    else:
+        switchover.configured(draft, event)
+
+
 def _reply_when_closed(draft: Draft) -> None:
     if not draft.connections:
         draft.actions += map(act.Reply, draft.closers)
@@ -403,6 +411,6 @@ _HANDLERS: dict[type[Any], Callable[[Draft, Any], None]] = {
     ev.OfferReported: offers.offer_reported,
     ev.TimeReached: _time_reached,
     ev.Stopped: _stopped,
-    ev.Configured: switchover.configured,
+    ev.Configured: _configured,
     ev.CandidatesChanged: switchover.candidates_changed,
 }

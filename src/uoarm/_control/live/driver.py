@@ -197,6 +197,7 @@ class Driver:
 
         Raises:
             BridgeTimeoutError: they have not in time; they go on with it.
+            ConnectionClosedError: the manager was closed; it is not in force.
         """
         robot = staged.revision.robot
         event = ev.Configured(
