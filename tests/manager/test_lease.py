@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
 
 from uoarm import RobotManager
-from uoarm.bridge import Registry
+from uoarm._parts._application_ports import _Command
+from uoarm.bridge import Registry, boot_seconds
 from uoarm.config import loads
 from uoarm.errors import BridgeError, CommandRefusedError, UsageError
 from uoarm.model import LeaseHolder, LeaseStatus, StatusEvent
-from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.testing import Background, MemoryBridge, patience, wait
 
 ROBOT = """
 version: 1
@@ -171,3 +173,37 @@ def test_a_command_is_renewed_while_it_is_held_and_stopped_then(
             assert base.taken.messages[-1] == 5
     text = "commands live for 3600 s, and are renewed every 3600 s: it stops in between"
     assert f"base.default: {text}" in caplog.text
+
+
+class HeldNumbers:
+    """Numbers of an input of which the first waits until the test lets it go."""
+
+    def __init__(self, numbers: Iterator[int]) -> None:
+        self.numbers = numbers
+        self.is_held, self.go_on = threading.Event(), threading.Event()
+
+    def __next__(self) -> int:
+        number = next(self.numbers)
+        if not self.is_held.is_set():
+            self.is_held.set()
+            assert self.go_on.wait(patience())
+        return number
+
+
+def test_of_two_stops_at_once_no_command_before_the_later_one_passes(memory: MemoryBridge) -> None:
+    memory.taker("base", {"type": "number"})
+    with open_robot(memory) as robot:
+        connection = robot.request("drive")
+        connection.send(5)
+        way = connection._ports().sender(None)
+        way._numbers = numbers = HeldNumbers(way._numbers)  # type: ignore[assignment]
+        first = Background(lambda: connection.stop(timeout=patience()))
+        assert numbers.is_held.wait(patience())
+        waits = _Command(7, LeaseHolder("me"), next(numbers), boot_seconds())
+        later = Background(lambda: connection.stop(timeout=patience()))
+        wait(lambda: not later._thread.is_alive() or way._stopping.locked())
+        numbers.go_on.set()
+        first.result()
+        later.result()
+        with pytest.raises(CommandRefusedError, match="stopped the input while the command waited"):
+            way._admit(waits)

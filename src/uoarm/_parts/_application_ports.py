@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -162,6 +163,8 @@ class Sender:
         self._numbers = itertools.count(1)
         # The number of the last stop, written by who stops: a command with a lower one is not sent
         # any more. One that was admitted just before is followed by another stop (`_halt_again`).
+        # Held while it is taken: of two who stop at once the later one writes the higher number.
+        self._stopping = threading.Lock()
         self._stopped = 0
         self._failures = 0  # that a flush has reported
 
@@ -254,7 +257,8 @@ class Sender:
             _log.warning("%s", error)
 
     def _halt(self, timeout: float) -> None:
-        self._stopped = next(self._numbers)
+        with self._stopping:
+            self._stopped = next(self._numbers)
         status = self._live.halt(self._name, timeout)
         if status is not None and status.phase is CommandPhase.STOPPING:
             cause = status.cause or f"not within {timeout:g} s"
