@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from uoarm._host.agent.dispatcher import _read
-from uoarm.bridge import ServiceStructures
-from uoarm.model import Endpoint, MessageStructure, Role, from_json, to_json
+from uoarm._host.agent.host_agent import HostedBridge
+from uoarm._host.transport.transport import LinkLostError
+from uoarm.bridge import BridgeType, Registry, ServiceStructures
+from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role, from_json, to_json
+from uoarm.testing import MemoryBridge
 
 
 def endpoint(**options: object) -> Endpoint:
@@ -46,3 +51,33 @@ def test_what_is_large_is_not_kept() -> None:
     first = _read(large, Endpoint)
     assert _read(large, Endpoint) == first
     assert _read(large, Endpoint) is not first
+
+
+class LostLink:
+    """A link that is lost while the bridge is made."""
+
+    is_closed = False
+
+    def watch_alive(self, *_: object) -> None:
+        pass
+
+    def answer(self, *_: object) -> None:
+        raise LinkLostError("the manager has gone")
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def test_a_bridge_whose_manager_goes_while_it_is_made_is_closed() -> None:
+    made: list[MemoryBridge] = []
+
+    def make(name: str, options: Any) -> MemoryBridge:
+        made.append(MemoryBridge(name, options))
+        return made[0]
+
+    registry, link = Registry([]), LostLink()
+    registry.add(BridgeType("memory", "for tests", make, contract=2))
+    with pytest.raises(LinkLostError):
+        HostedBridge(registry, BridgeSpec("one", "memory"), link)  # type: ignore[arg-type]
+    assert made[0].closed
+    assert link.is_closed

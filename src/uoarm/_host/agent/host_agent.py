@@ -222,11 +222,16 @@ class HostedBridge:
             transport.close()
             raise
         self._serving = RequestDispatcher(self._bridge, transport, self._ended.set)
-        self._serving.begin()
         self._thread = threading.Thread(
             target=self._wait, name=f"uoarm-served-{spec.name}", daemon=True
         )
-        self._thread.start()
+        try:
+            self._serving.begin()
+            self._thread.start()
+        except BaseException:  # the manager went meanwhile, or the system gives no more threads
+            self._ended.set()
+            self._wait()
+            raise
         _log.info("bridge %s is taken up", self.name)
 
     @property
