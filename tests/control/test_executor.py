@@ -19,8 +19,8 @@ from uoarm._control.live.revisions import Revision
 from uoarm._support.ordered import OrderedMap, keep_newest
 from uoarm._support.workers import Job
 from uoarm.config import loads
-from uoarm.model import ConnectionState, Health, StatusEvent
-from uoarm.testing import ManualClock, MemoryBridge, patience, wait
+from uoarm.model import ConnectionState, Health, Robot, StatusEvent
+from uoarm.testing import Background, ManualClock, MemoryBridge, patience, wait
 
 NUMBER = {"type": "integer"}
 
@@ -113,6 +113,21 @@ def test_an_action_that_fails_keeps_none_of_the_others_from_being_done(
     wait(lambda: connection.gaps)
     assert "failed to do Forget" in caplog.text
     assert connection.state is ConnectionState.RUNNING
+
+
+def test_what_comes_while_a_change_of_candidates_fails_is_handled(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connection, driver = stage.robot.request("camera"), stage.robot._driver
+
+    def fail(_: Robot) -> None:
+        Background(lambda: stage.one.die("best")).result()
+        raise ArithmeticError("a fault of ours")
+
+    monkeypatch.setattr(driver, "_change_candidates", fail)
+    with pytest.raises(ArithmeticError):
+        driver.change_candidates(stage.robot.config)
+    wait(lambda: connection.gaps)
 
 
 def test_what_died_long_ago_is_forgotten_however_many_names_come_and_go() -> None:

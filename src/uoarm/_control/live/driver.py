@@ -233,10 +233,12 @@ class Driver:
         """
         # They were found in seconds, in which some may have been requested: what is in use is
         # known, and stays so until they are in force, only to who owns the state.
-        with self._owning:
-            self._handle_all()
-            self._change_candidates(robot)
-        self._work()  # what was left to the owner meanwhile
+        try:
+            with self._owning:
+                self._handle_all()
+                self._change_candidates(robot)
+        finally:
+            self._work()  # what was left to the owner meanwhile
 
     def _change_candidates(self, robot: Robot) -> None:
         revision = self._revisions.current
