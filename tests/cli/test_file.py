@@ -130,3 +130,12 @@ def test_where_none_is_there_it_is_said_what_to_do(name: str) -> None:
     assert "robot.yaml: the file cannot be read: No such file" in done.output
     assert "uoarm suggest > robot.yaml" in done.output
     assert "FILE names another" in done.output
+
+
+@pytest.mark.parametrize("name", ["list", "status"])
+def test_a_configuration_without_functions_is_no_empty_answer(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("version: 1\nbridges: {python: {}}\nfunctions: {}\n", encoding="utf-8")
+    done = CliRunner().invoke(main, [name, str(file)])
+    assert (done.exit_code, done.stdout.strip(), done.stderr) == (0, "", "no functions\n")
+    assert CliRunner().invoke(main, [name, str(file), "--json"]).stderr == ""

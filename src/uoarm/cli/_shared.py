@@ -124,6 +124,8 @@ class Seconds(click.FloatRange):
 
 
 _MOST_SECONDS = 1e9
+NO_FUNCTIONS = "no functions"
+"""What is said where an empty table would be."""
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")

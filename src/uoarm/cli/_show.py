@@ -22,6 +22,7 @@ from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
+    NO_FUNCTIONS,
     REFUSED,
     DefaultConfiguration,
     Seconds,
@@ -129,6 +130,8 @@ def list_functions(file: str, *, server: Remote | None, as_json: bool) -> None:
             echo(_heading(function["name"], function["description"]))
             for component in function["components"]:
                 echo(_candidate(**component))
+        if not functions:
+            echo(NO_FUNCTIONS, err=True)
         return
     with reporting():
         robot = load(file)
@@ -139,6 +142,8 @@ def list_functions(file: str, *, server: Remote | None, as_json: bool) -> None:
         echo(_heading(function.name, function.description))
         for component in function.components:
             echo(_candidate(component.name, component.bridge, component.priority))
+    if not robot.functions:
+        echo(NO_FUNCTIONS, err=True)
 
 
 def _heading(name: str, description: str) -> str:

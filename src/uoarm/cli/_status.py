@@ -22,6 +22,7 @@ from uoarm.cli._output import clear, echo, output, styled
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import (
     BRIDGE,
+    NO_FUNCTIONS,
     REFUSED,
     STANDARD,
     every_option,
@@ -251,6 +252,8 @@ def _show(robot: RobotManager, *, as_json: bool) -> tuple[FunctionStatus, ...]:
         echo(styled(fitted(head), bold=True, fg=colour))
         if candidates:
             echo(fitted(candidates))
+    if not functions:
+        echo(NO_FUNCTIONS, err=True)
     for machine in robot.status().machines:
         echo(fitted(str(machine)))
     return functions
