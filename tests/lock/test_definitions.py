@@ -55,9 +55,12 @@ def check(folder: Path, **files: str) -> Result:
         "component": "gripper", "function": "grip", "bridge": "b", "plugin": "mine",
         "ports": {"output.default": "f"},
     }  # fmt: skip
-    function = {"parts": [part], "edges": [], "passed_over": {}, "refused": ""}
+    function = {"parts": ["gripper"], "edges": [], "passed_over": {}, "refused": ""}
     structures = {"f": {"native_type": "mine/Grip", "structure": BEFORE}}
-    lock = {"version": 1, "functions": {"grip": function}, "structures": structures}
+    lock = {
+        "version": 2, "functions": {"grip": function}, "structures": structures,
+        "parts": {"gripper": part},
+    }  # fmt: skip
     (folder / "robot.lock").write_text(json.dumps(lock))
     against = folder / "definitions"
     against.mkdir(exist_ok=True)

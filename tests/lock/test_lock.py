@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
 
-from uoarm._lock import LockOutcome, compare, read_lock
+from uoarm._lock import LockOutcome, compare, read_lock, write_lock
 from uoarm.cli import main
 from uoarm.errors import ConfigurationError
 
@@ -80,10 +81,37 @@ def test_a_lock_is_the_same_text_for_the_same_plans_and_fits_itself(tmp_path: Pa
     assert checked.exit_code == 0
     assert "breaks: 0" in checked.output
     data = json.loads(one.read_text())
-    (edge,) = data["functions"]["fireAlarm"]["edges"]
+    (key,) = data["functions"]["fireAlarm"]["edges"]
+    edge = data["edges"][key]
     assert (edge["producer"], edge["consumer"], edge["meaning"]) == (
         "thermometer", "too_hot", "stated",
     )  # fmt: skip
+
+
+def test_a_part_of_many_plans_is_written_once(tmp_path: Path) -> None:
+    """Each plan of a chain has all of those before it."""
+
+    def size(length: int) -> int:
+        names = ["temperature", *(f"f{number}" for number in range(length))]
+        chain = "".join(
+            f"  {name}:\n    components:\n      - {{name: c_{name}, bridge: python, "
+            f'input: {{from: {before}, endpoint: ["kitchen:pass_on"]}}, '
+            f'output: {{endpoint: ["kitchen:pass_on"]}}}}\n'
+            for before, name in pairwise(names)
+        )
+        folder = robot(tmp_path / str(length))
+        with (folder / "kitchen.py").open("a") as code:
+            code.write("\n\ndef pass_on(reading: Reading) -> Reading:\n    return reading\n")
+        file = folder / "robot.yaml"
+        file.write_text(file.read_text() + chain)
+        assert run(folder).exit_code == 0
+        text = (folder / "robot.lock").read_text()
+        lock = read_lock(folder / "robot.lock")
+        assert write_lock(lock) == text
+        assert len(lock.functions[names[-1]].parts) == length + 1
+        return text.count('"plugin"')
+
+    assert size(20) - size(10) == 10
 
 
 @pytest.mark.parametrize("suffix", [".json", ".schema"])
@@ -116,14 +144,11 @@ def test_a_field_that_went_breaks_and_says_so_in_each_form(tmp_path: Path, form:
         if "celsius" in item["structure"]["properties"] and item["structure"]["required"]:
             item["structure"]["required"] = ["hot"]
     # The producer's structure may do without the field now; its consumer's still demands it.
-    parts = after["functions"]["fireAlarm"]["parts"]
     assert before.functions["fireAlarm"].parts
-    structure = after["structures"][parts[0]["ports"]["output.default"]]
+    ports = after["parts"]["thermometer"]["ports"]
+    structure = after["structures"][ports["output.default"]]
     after["structures"]["changed"] = structure
-    for function in after["functions"].values():
-        for part in function["parts"]:
-            if part["component"] == "thermometer":
-                part["ports"]["output.default"] = "changed"
+    ports["output.default"] = "changed"
     other = tmp_path / "other.lock"
     kept = json.loads((tmp_path / "a" / "robot.lock").read_text())["structures"]
     after["structures"] = {**after["structures"], **kept, "changed": structure}
@@ -163,13 +188,14 @@ def test_outputs_may_narrow_and_components_may_not_go(tmp_path: Path) -> None:
 
 
 NO_PORT = (
-    '{"version": 1, "functions": {"f": {"parts": [{"component": "a", "function": "f",'
-    ' "bridge": "b", "plugin": "p", "ports": {"x": "gone"}}]}}, "structures": {}}'
+    '{"version": 2, "functions": {"f": {"parts": ["a"]}}, "parts": {"a": {"component": "a",'
+    ' "function": "f", "bridge": "b", "plugin": "p", "ports": {"x": "gone"}}}, "structures": {}}'
 )
-NO_FUNCTION = '{"version": 1, "functions": {"f": 3}, "structures": {}}'
+NO_FUNCTION = '{"version": 2, "functions": {"f": 3}, "structures": {}}'
+NO_PART = '{"version": 2, "functions": {"f": {"parts": ["a"]}}, "structures": {}}'
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 2}', NO_FUNCTION, NO_PORT])
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 1}', NO_FUNCTION, NO_PART, NO_PORT])
 def test_what_is_no_lock_is_refused_with_its_name(tmp_path: Path, text: str) -> None:
     path = tmp_path / "robot.lock"
     path.write_text(text)
@@ -183,7 +209,7 @@ def test_what_is_no_lock_is_refused_with_its_name(tmp_path: Path, text: str) -> 
     [
         (b"functions: {}", "expected a lock, as `uoarm lock` writes it, got what is no JSON: "),
         (b'{"a": 1}', "expected a lock, as `uoarm lock` writes it, got other JSON"),
-        (b'{"version": 7}', "expected a lock of version 1, got version 7"),
+        (b'{"version": 7}', "expected a lock of version 2, got version 7"),
         (b"{\xff", "the file is not UTF-8: byte 2 cannot be decoded (save it as UTF-8)"),
         (None, "the file cannot be read: it is a folder"),
     ],

@@ -27,9 +27,12 @@ def check(tmp_path: Path, against: Path) -> Result:
         "component": "claw", "function": "grip", "bridge": "ros", "plugin": "ros2",
         "ports": {"output.default": "f"},
     }  # fmt: skip
-    function = {"parts": [part], "edges": [], "passed_over": {}, "refused": ""}
+    function = {"parts": ["claw"], "edges": [], "passed_over": {}, "refused": ""}
     structures = {"f": {"native_type": grip.native_type, "structure": grip.schema}}
-    lock = {"version": 1, "functions": {"grip": function}, "structures": structures}
+    lock = {
+        "version": 2, "functions": {"grip": function}, "structures": structures,
+        "parts": {"claw": part},
+    }  # fmt: skip
     path = tmp_path / "robot.lock"
     path.write_text(json.dumps(lock))
     words = ["--lock", str(path), "--check", "--against", str(against)]

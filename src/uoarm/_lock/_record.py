@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from attrs import field, frozen
 
@@ -31,12 +31,13 @@ from uoarm.model import (
 )
 from uoarm.model import read_json as json_of
 
+_T = TypeVar("_T")
 _GROUP = "uoarm.bridges"
 _CORE = "uoarm"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _EXTRA = re.compile(r"""extra\s*==\s*['"]([^'"]+)['"]""")
 _FOR_DEVELOPERS = frozenset({"dev", "test", "tests", "doc", "docs"})
-_VERSION = 1
+_VERSION = 2
 _MOST_OCTETS = 100_000_000
 
 
@@ -241,6 +242,30 @@ class Lock:
         return MessageStructure(found.structure, native_type=found.native_type)
 
 
+@frozen
+class _WrittenFunction:
+    """A function in the file: its parts, edges and others by their keys there."""
+
+    parts: tuple[str, ...] = ()
+    edges: tuple[str, ...] = ()
+    passed_over: dict[str, str] = field(factory=dict)
+    refused: str = ""
+    others: tuple[str, ...] = ()
+
+
+@frozen
+class _WrittenLock:
+    """A lock in the file: a part that many plans have, as in a chain, is written once."""
+
+    functions: dict[str, _WrittenFunction]
+    structures: dict[str, LockedStructure]
+    parts: dict[str, LockedPart] = field(factory=dict)
+    edges: dict[str, LockedEdge] = field(factory=dict)
+    version: int = _VERSION
+    bridges: dict[str, LockedBridge] = field(factory=dict)
+    offers: dict[str, LockedOffer] = field(factory=dict)
+
+
 def record(
     robot: Robot,
     plans: Mapping[str, Plan | str],
@@ -255,8 +280,14 @@ def record(
     """
     structures: dict[str, LockedStructure] = {}
     functions: dict[str, LockedFunction] = {}
+    known: dict[str, tuple[Mapping[str, MessageStructure], LockedPart]] = {}
 
     def part(subject: Component | Offer, ports: Mapping[str, MessageStructure]) -> LockedPart:
+        if subject.name not in known or known[subject.name][0] != ports:
+            known[subject.name] = ports, new_part(subject, ports)
+        return known[subject.name][1]
+
+    def new_part(subject: Component | Offer, ports: Mapping[str, MessageStructure]) -> LockedPart:
         for structure in ports.values():
             structures[structure.fingerprint] = LockedStructure(
                 structure.native_type, structure.schema
@@ -343,7 +374,32 @@ def meaning_of(edge: LockedEdge) -> Meaning:
 
 def write_lock(lock: Lock) -> str:
     """Return a lock as text: the same for the same plans, a line for each value."""
-    return json.dumps(to_json(lock), indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+    parts: dict[str, LockedPart] = {}
+    edges: dict[str, LockedEdge] = {}
+    functions = {
+        name: _WrittenFunction(
+            tuple(_key(parts, part.component, part) for part in function.parts),
+            tuple(
+                _key(edges, f"{edge.producer}.{edge.output} -> {edge.consumer}.{edge.input}", edge)
+                for edge in function.edges
+            ),
+            function.passed_over,
+            function.refused,
+            tuple(_key(parts, part.component, part) for part in function.others),
+        )
+        for name, function in lock.functions.items()
+    }
+    written = _WrittenLock(
+        functions, lock.structures, parts, edges, lock.version, lock.bridges, lock.offers
+    )
+    return json.dumps(to_json(written), indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def _key(known: dict[str, _T], name: str, value: _T) -> str:
+    """Return the key of a value, and put it there; what is another has a key of its own."""
+    while known.setdefault(name, value) is not value and known[name] != value:
+        name += "'"
+    return name
 
 
 def read_lock(path: Path) -> Lock:
@@ -357,9 +413,10 @@ def read_lock(path: Path) -> Lock:
         raise LockError(f"{path}: expected a lock, as `uoarm lock` writes it, got other JSON")
     if data["version"] != _VERSION:
         text = f"expected a lock of version {_VERSION}, got version {data['version']}"
+        text += ": `uoarm lock` writes it anew"
         raise LockError(f"{path}: {text}")
     try:
-        lock = from_json(data, Lock)
+        lock = _read(from_json(data, _WrittenLock))
         for part in lock.parts():
             for fingerprint in part.ports.values():
                 lock.structure(fingerprint)
@@ -368,6 +425,20 @@ def read_lock(path: Path) -> Lock:
     except (ValueError, KeyError) as error:
         raise LockError(f"{path}: this is no whole lock: {error}") from error
     return lock
+
+
+def _read(written: _WrittenLock) -> Lock:
+    functions = {
+        name: LockedFunction(
+            tuple(written.parts[key] for key in function.parts),
+            tuple(written.edges[key] for key in function.edges),
+            function.passed_over,
+            function.refused,
+            tuple(written.parts[key] for key in function.others),
+        )
+        for name, function in written.functions.items()
+    }
+    return Lock(functions, written.structures, written.version, written.bridges, written.offers)
 
 
 def read_json(path: Path, expected: str = "JSON") -> Any:
