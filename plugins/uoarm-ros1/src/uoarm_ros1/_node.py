@@ -505,7 +505,7 @@ class Rosout:
 
 
 class Clock:
-    """The seconds of /clock; they stand still until it says something."""
+    """The seconds of /clock: they stand while it does, and never go back."""
 
     def __init__(self, node: Node, types: TypeStore) -> None:
         record = types.require("rosgraph_msgs/Clock")
@@ -513,16 +513,17 @@ class Clock:
         self._read = reader(record, node.options.budget)
         self._wanted = SubscriptionOptions(node.name, "/clock", record.name, record.md5)
         self._subscription: TopicSubscription | None = None
-        self._time: Mapping[str, int] = {"secs": 0, "nsecs": 0}
+        self._seconds = 0.0
+        self._time: Mapping[str, int] | None = None  # nothing was said yet
         node.stamp = self.stamp
 
     def now(self) -> float:
-        """Return the seconds that were said last."""
-        return self._time["secs"] + self._time["nsecs"] / 1_000_000_000
+        """Return the seconds that it has counted since it said something first."""
+        return self._seconds
 
     def stamp(self) -> Mapping[str, int]:
         """Return the time that was said last, as headers have it."""
-        return self._time
+        return self._time or {"secs": 0, "nsecs": 0}
 
     def open(self) -> None:
         """Subscribe to it, unless it is done.
@@ -544,4 +545,8 @@ class Clock:
 
     def _take(self, frame: bytes | bytearray, _: str) -> None:
         with suppress(MessageError):
-            self._time = self._read(frame)["clock"]
+            time: Mapping[str, int] = self._read(frame)["clock"]
+            before = self._time or time
+            passed = time["secs"] - before["secs"] + (time["nsecs"] - before["nsecs"]) / 1e9
+            self._seconds += max(0.0, passed)  # one that is earlier is of another run
+            self._time = time
