@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from played import TALK, Played, bridge_to
+from played import TALK, Played, asked, bridge_to
 from ros import Serve, url
 from tests.server.robot import script  # type: ignore[import-not-found]
 from uoarm_rosbridge.client._channels import raw_reader
-from uoarm_rosbridge.client._types import RosType, read_types, structure_of
+from uoarm_rosbridge.client._types import RosType, read_types, reader, structure_of
 from websockets.sync.server import ServerConnection
 
 from uoarm.cdr import Codec
@@ -186,6 +186,43 @@ def test_a_picture_comes_as_its_endpoint_asks(played: Played) -> None:
         message = {"op": "publish", "topic": "/chatter", "msg": framed(text)}
         played.sockets[-1].send(write_binary(message))
         assert plain.wait(1) == [{"data": "Kia ora"}]
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "wanted"),
+    [
+        ("x_msgs/msg/T", {"a": ("double", 0), "b": ("octet", -1)}, "none"),
+        ("x_msgs/T", {"a": ("float64", 0), "b": ("byte", -1), "c": ("time", -1)}, "cbor"),
+        ("x_msgs/msg/T", {"a": ("double", 9)}, "none"),  # of NavSatFix, Imu and Odometry
+        ("x_msgs/T", {"a": ("float64", 9)}, "none"),
+        ("x_msgs/T", {"a": ("uint8", 16)}, "none"),
+        ("x_msgs/T", {"a": ("duration", 0)}, "none"),
+        ("x_msgs/msg/T", {"a": ("wstring", -1)}, "none"),
+        ("x_msgs/msg/T", {"a": ("x_msgs/Inner", 2), "b": ("string", 0)}, "cbor"),
+        ("x_msgs/msg/T", {"a": ("x_msgs/Fixed", 0)}, "none"),
+    ],
+)
+def test_what_rosbridge_suite_does_not_write_as_cbor_is_asked_for_as_json(
+    played: Played, name: str, fields: dict[str, tuple[str, int]], wanted: str
+) -> None:
+    """It sends nothing of such a type, and does not say so."""
+    fixed = typedef("x_msgs/Fixed", a=("float", 2))
+    played.answers["topic_type"] = {"type": name}
+    played.answers["message_details"] = {"typedefs": [typedef("x_msgs/T", **fields), INNER, fixed]}
+    with bridge_to(played.url) as bridge:
+        made = bridge.describe(TALK).message
+        assert made is not None
+        bridge.open_source(TALK, made, print)
+    assert [fields["compression"] for fields in asked(played, "subscribe")] == [wanted]
+
+
+def test_large_integers_beside_small_ones_are_integers() -> None:
+    made = read_types("x_msgs/U", [typedef("x_msgs/U", a=("uint64", 0))])
+    message: Any = reader(made)({"a": [0, 2**64 - 1, 2**53 + 1]})
+    assert message["a"].tolist() == [0, 2**64 - 1, 2**53 + 1]
+    for wrong in ([-1, 2**64 - 1], [2**64], [0.5]):
+        with pytest.raises(MessageError, match="uint64"):
+            reader(made)({"a": wrong})
 
 
 def test_a_function_of_our_own_server_comes_raw(serve: Serve) -> None:

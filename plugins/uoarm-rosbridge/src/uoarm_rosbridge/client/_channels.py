@@ -26,7 +26,7 @@ from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_rosbridge._wire import write_publish
 from uoarm_rosbridge.client._connection import Fields, ServerConnection, json_text
 from uoarm_rosbridge.client._options import Port
-from uoarm_rosbridge.client._types import RosType, reader, structure_of, writer
+from uoarm_rosbridge.client._types import RosType, compression_for, reader, structure_of, writer
 
 Report = Callable[[Channel, Health, str], None]
 
@@ -73,7 +73,7 @@ class TopicSource(Source):
         fields: Fields = {
             "op": "subscribe", "id": self._identity, "topic": topic, "type": made.name,
             "throttle_rate": port.throttle, "queue_length": 0,
-            "compression": port.compression or options.compression,
+            "compression": compression_for(made, port.compression or options.compression),
         }  # fmt: skip
         try:
             # Where another source has the topic already, messages come as that has asked for.

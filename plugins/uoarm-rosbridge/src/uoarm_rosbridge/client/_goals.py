@@ -15,7 +15,7 @@ from attrs import define, field
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message
 from uoarm_rosbridge.client._connection import ServerConnection
-from uoarm_rosbridge.client._types import RosType, reader, writer
+from uoarm_rosbridge.client._types import RosType, compression_for, reader, writer
 
 Cancelling = Callable[[Callable[[], object]], AbstractContextManager[None]]
 
@@ -152,7 +152,8 @@ class ActionlibCaller:
             ):
                 fields = {
                     "op": "subscribe", "id": connection.new_id("subscribe"),
-                    "topic": f"{name}/{part}", "type": kind.name, "compression": "cbor",
+                    "topic": f"{name}/{part}", "type": kind.name,
+                    "compression": compression_for(kind, "cbor"),
                 }  # fmt: skip
                 connection.subscribe(fields, take)
             for identity, topic, kind_name in self._advertised:

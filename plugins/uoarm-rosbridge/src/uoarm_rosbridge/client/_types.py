@@ -41,10 +41,12 @@ class Primitive:
     Attributes:
         kind: of the value.
         is_wide: whether a text is serialised in characters of 16 bits.
+        is_byte: whether it is a `byte` of ROS 2, which in Python is no number.
     """
 
     kind: str
     is_wide: bool = False
+    is_byte: bool = field(default=False, eq=False)
 
 
 @frozen
@@ -144,10 +146,11 @@ class _Definitions:
     def _shape(self, kind: str, length: object, path: tuple[str, ...]) -> RosShape:
         plain = kind.partition("[")[0].partition("<")[0]
         names = {**_OTHER_NAMES, **(_NAMES_OF_TWO if self._is_two else _NAMES_OF_ONE)}
+        is_byte = self._is_two and plain in {"byte", "octet"}
         plain = names.get(plain, plain)
         shape: RosShape
         if plain in FORMATS or plain in {"bool", "string"}:
-            shape = Primitive(plain)
+            shape = Primitive(plain, is_byte=is_byte)
         elif plain == "wstring":
             shape = Primitive("string", is_wide=True)
         elif not self._is_two and plain in _TIMES:
@@ -226,6 +229,26 @@ def _schema(shape: RosShape) -> dict[str, Any]:
     return number_schema(shape.kind, BASIC[shape.kind])
 
 
+def compression_for(made: RosType, wanted: str) -> str:
+    """Return how a type's messages can come where they are wanted so.
+
+    Of a type without a form as CBOR rosbridge_suite sends nothing, and does not say so:
+    https://github.com/RobotWebTools/rosbridge_suite/issues/864
+    """
+    return "none" if wanted == "cbor" and not _has_cbor(made) else wanted
+
+
+def _has_cbor(shape: RosShape) -> bool:
+    if isinstance(shape, RosType):
+        return all(map(_has_cbor, shape.fields.values()))
+    if isinstance(shape, Primitive):
+        return not (shape.is_byte or shape.is_wide)
+    element = shape.element
+    if isinstance(element, RosType):
+        return element not in _TIMES.values() and _has_cbor(element)
+    return shape.size is None and _has_cbor(element)
+
+
 def _is_octets(shape: ArrayOf) -> bool:
     return shape.element == Primitive("uint8")
 
@@ -239,6 +262,11 @@ def _range(kind: str) -> tuple[int, int]:
 def _misfit(path: str, expected: str, value: object) -> MessageError:
     got = f"{type(value).__name__} {shown(value, _SHOWN)}"
     return MessageError(f"{path}: expected {expected}, got {got}")
+
+
+def _out_of_range(path: str, kind: str, value: object) -> MessageError:
+    least, most = _range(kind)
+    return _misfit(path, f"{least} to {most} ({kind})", value)
 
 
 @lru_cache(maxsize=1024)
@@ -289,7 +317,7 @@ def _reading_primitive(kind: str, path: str) -> _Read:
             octets = _octets(path, value)
             value = octets[0] if len(octets) == 1 else value
         if type(value) is not int or not least <= value <= most:
-            raise _misfit(path, f"{least} to {most} ({kind})", value)
+            raise _out_of_range(path, kind, value)
         return value
 
     return read_integer
@@ -354,19 +382,23 @@ def _numbers(path: str, kind: str, dtype: np.dtype[Any], value: Any) -> np.ndarr
     if not isinstance(value, list | array | np.ndarray):
         raise _misfit(path, f"an array of {kind}", value)
     try:
-        if dtype.kind == "f":
-            given = np.asarray(value, np.float64 if isinstance(value, list) else None)
-        else:
-            given = np.asarray(value) if len(value) else np.empty(0, dtype)
-    except (TypeError, ValueError, OverflowError):
+        if not isinstance(value, list):
+            given = np.asarray(value)
+        elif dtype.kind == "f":
+            given = np.asarray(value, np.float64)
+        else:  # numpy makes floats of large integers beside small ones
+            given = np.asarray(array(FORMATS[kind], value))
+    except (TypeError, ValueError):
         raise _misfit(path, f"an array of {kind}", value) from None
+    except OverflowError:
+        raise _out_of_range(path, kind, value) from None
     is_number = given.ndim == 1 and given.dtype.kind in ("iuf" if dtype.kind == "f" else "iu")
     if not is_number:
         raise _misfit(path, f"an array of {kind}", value)
     if dtype.kind != "f" and given.size and given.dtype != dtype:
         least, most = _range(kind)
         if not least <= given.min().item() <= given.max().item() <= most:
-            raise _misfit(path, f"{least} to {most} ({kind})", value)
+            raise _out_of_range(path, kind, value)
     with np.errstate(over="ignore"):
         return np.asarray(given, dtype)
 
@@ -447,7 +479,7 @@ def _integer(kind: str, path: str, value: Any) -> int:
         raise _misfit(path, f"an integer ({kind})", value) from None
     least, most = _range(kind)
     if not least <= number <= most:
-        raise _misfit(path, f"{least} to {most} ({kind})", value)
+        raise _out_of_range(path, kind, value)
     return number
 
 
