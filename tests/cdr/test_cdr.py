@@ -19,6 +19,7 @@ from uoarm.cdr import (
     serialiser,
     structure_of_definition,
 )
+from uoarm.cdr._layout import DDS, layout_of
 from uoarm.errors import MessageError
 from uoarm.model import Budget, MessageStructure
 from uoarm.testing import same
@@ -103,6 +104,18 @@ def test_a_definition_and_its_structure_say_the_same() -> None:
     wide = schema["properties"]["wide"]
     assert (wide["x-max-utf16"], "x-max-utf8" in wide) == (9, False)
     assert structure_of_definition(definition_of(structure, "x/msg/Other")) == structure
+
+
+def test_two_layouts_have_two_names_in_a_definition() -> None:
+    other = {**closed(y={"type": "string"}), "x-native-type": "lab/msg/Part"}
+    parts = closed(
+        a_b=closed(c=closed(x={"type": "boolean"})),
+        a=closed(b_c=closed(y={"type": "string"})),
+        part={**closed(z={"type": "boolean"}), "x-native-type": "lab/msg/Part"},
+        others={"type": "array", "items": other},
+    )
+    again = structure_of_definition(definition_of(MessageStructure(parts), "lab/msg/Whole"))
+    assert layout_of(again.schema, DDS) == layout_of(parts, DDS)
 
 
 def test_a_definition_without_fields_is_a_text_still() -> None:

@@ -11,7 +11,15 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.cdr._layout import BASIC, DDS, RecordLayout, basic_type, layout_of, number_schema
+from uoarm.cdr._layout import (
+    BASIC,
+    DDS,
+    Layout,
+    RecordLayout,
+    basic_type,
+    layout_of,
+    number_schema,
+)
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
 
@@ -55,10 +63,12 @@ def definition_of(structure: MessageStructure, name: str) -> RosDefinition:
     Raises:
         MessageError: a message file cannot say it.
     """
-    if not isinstance(layout_of(structure.schema, DDS), RecordLayout):
+    layout = layout_of(structure.schema, DDS)
+    if not isinstance(layout, RecordLayout):
         raise MessageError(f"{name} has no fields, as each message file has")
     own = structure.native_type if _is_ros(structure.native_type) else name
     waiting: list[tuple[str, object]] = [(own, structure.schema)]
+    layouts: dict[str, Layout] = {own: layout}
     texts: dict[str, str] = {}
     while waiting:
         type_name, schema = waiting.pop(0)
@@ -68,12 +78,16 @@ def definition_of(structure: MessageStructure, name: str) -> RosDefinition:
             raise MessageError(f"{type_name} cannot be written as a message file")
         head = f"{_RULE}\nMSG: {_short(type_name)}\n" if texts else ""
         # Viewers take an empty text for one that is missing, but for that of std_msgs/Empty.
-        texts[type_name] = head + ("".join(_lines(type_name, schema, waiting)) or "# no fields\n")
+        lines = "".join(_lines(type_name, schema, waiting, layouts))
+        texts[type_name] = head + (lines or "# no fields\n")
     return RosDefinition(own, "".join(texts.values()))
 
 
 def _lines(
-    type_name: str, schema: Mapping[str, Any], waiting: list[tuple[str, object]]
+    type_name: str,
+    schema: Mapping[str, Any],
+    waiting: list[tuple[str, object]],
+    layouts: dict[str, Layout],
 ) -> Iterator[str]:
     for constant, value in schema.get("x-constants", {}).items():
         kind = {bool: "bool", int: "int64", float: "float64", str: "string"}.get(type(value))
@@ -92,6 +106,9 @@ def _lines(
         if not kind:
             native = element.get("x-native-type", "")
             kind = native if _is_ros(native) else f"{type_name}_{field}"
+            layout = layout_of(element, DDS)
+            while layouts.setdefault(kind, layout) != layout:  # `a_b` in `c`, and `b` in `c_a`
+                kind += "_"
             waiting.append((kind, element))
         elif bound := element.get("x-max-utf8") or element.get("x-max-utf16"):
             kind = f"{kind}<={bound}"
