@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 from typing import Any
@@ -15,6 +16,7 @@ from tests.server.talk import Talk, eventually
 from uoarm import RobotManager
 from uoarm._wire._binary import write_binary
 from uoarm.server import Limits
+from uoarm.server.streams import Feed, FeedRegistry
 from uoarm.testing import patience
 
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
@@ -195,6 +197,32 @@ def test_asking_twice_for_one_function_is_reported(talk: Connect) -> None:
     client = talk()
     client.open("numbers")
     assert client.refused("Request", "numbers")["code"] == "usage"
+
+
+def test_asking_again_just_as_the_function_ends_is_reported(
+    talk: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both requests join one feed. It must not be handed out again behind its end."""
+    join = FeedRegistry.join
+    joined: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
+
+    async def join_late(registry: FeedRegistry, *asked: Any) -> Feed:
+        feed = await join(registry, *asked)
+        joined.append((asyncio.get_running_loop(), asyncio.Event()))
+        if len(joined) > 1:
+            await joined[-1][1].wait()
+        return feed
+
+    monkeypatch.setattr(FeedRegistry, "join", join_late)
+    client = talk()
+    client.open("numbers")
+    again = client.send("Request", "numbers")
+    eventually(lambda: len(joined) > 1, "the second request has joined")
+    script.put(END)
+    client.next("connection")
+    loop, gate = joined[-1]
+    loop.call_soon_threadsafe(gate.set)
+    assert client.answer(again)["jsonMessage"]["code"] == "usage"
 
 
 def test_one_connection_serves_all_clients_and_the_last_one_closes_it(

@@ -64,6 +64,21 @@ test("why a connection ended has no empty reason", async () => {
   await assert.rejects(waiting, { code: "closed", message: "the connection ended (1006)" });
 });
 
+test("giving back what has just ended at the server is no failure", async () => {
+  const connecting = connect("ws://x/", { WebSocket: Socket, resume: false, reconnect: 0 });
+  const socket = Socket.made.at(-1);
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  const opening = robot.request("numbers");
+  const opened = { connection: "c1", inputs: [], warnings: [], number: 0 };
+  socket.deliver({ op: "Reply", id: "1", jsonMessage: opened });
+  const giving = (await opening).kill();
+  const unknown = { code: "unknown", text: "this client has no connection 'c1'" };
+  socket.deliver({ op: "Error", type: "c1", id: "2", jsonMessage: unknown });
+  await giving;
+  robot.close();
+});
+
 test("numbers and octets that JSON has no form for are written as the protocol says", async () => {
   const connecting = connect("ws://x/", { WebSocket: Socket });
   const socket = Socket.made.at(-1);

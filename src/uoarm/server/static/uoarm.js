@@ -231,7 +231,8 @@ export class Stream {
     try {
       await this.#ask({ op: "Kill", type: this.connection });
     } catch (error) {
-      if (error.code !== "closed") throw error; // otherwise it has ended at the server, too
+      // Otherwise it has ended at the server, too; `unknown`: before the Kill came there.
+      if (!["closed", "unknown"].includes(error.code)) throw error;
     }
   }
 

@@ -7,7 +7,7 @@ import functools
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from attrs import frozen
 
@@ -50,6 +50,14 @@ class Stream:
         return None if is_waiting else self.subscription.number
 
 
+class _End(NamedTuple):
+    """The end of a connection, as it was sent."""
+
+    connection: str
+    lane: Lane
+    frame: bytes
+
+
 class ClientStreams:
     """Streams and input senders of one client by connection id, in the loop's thread.
 
@@ -82,7 +90,7 @@ class ClientStreams:
         self._sendings: dict[str, InputSender] = {}
         # The last ends, for a client that comes back: those of more streams than it may have are
         # old.
-        self._ends: deque[tuple[Lane, bytes]] = deque(maxlen=client.limits.streams)
+        self._ends: deque[_End] = deque(maxlen=client.limits.streams)
         # By connection, who waits for its end; set before the kill begins, so that a second one
         # joins it.
         self._killing: dict[str, list[Callable[[], None]]] = {}
@@ -122,7 +130,9 @@ class ClientStreams:
         assert connection is not None, "join returns feeds that are open"
         # After the opening, since only then the connection has a name: two requests at the same
         # time get the same feed, and the second gives its claim back.
-        if connection.id in self._streams:
+        # Or it had it until just now: a second stream's end would come before what waits of that.
+        ended = (end.connection for end in self._ends)
+        if connection.id in self._streams or connection.id in ended:
             self._registry.leave(feed)
             raise UsageError(f"this client has {wanted.name!r} open as {connection.id}")
         stream = self._streams[connection.id] = self._stream(feed, connection, options)
@@ -239,10 +249,10 @@ class ClientStreams:
 
     def repeat_ends(self) -> None:
         """Send the last ends once more: after a drop the client may not have received them."""
-        for lane, frame in self._ends:
+        for end in self._ends:
             # One whose end waits still will be sent anyway, and must not be sent twice.
-            if not lane.waiting:
-                self._client.outbox.finish(lane, frame)
+            if not end.lane.waiting:
+                self._client.outbox.finish(end.lane, end.frame)
 
     def _stream(self, feed: Feed, connection: Connection, options: Mapping[str, Any]) -> Stream:
         every = options.get("every", 0)
@@ -309,7 +319,7 @@ class ClientStreams:
             # Through the stream's own queue: the end comes after its last message.
             lane = stream.subscription.lane
             self._client.outbox.finish(lane, frame)
-            self._ends.append((lane, frame))
+            self._ends.append(_End(identity, lane, frame))
 
     def _remove(self, identity: str, cause: str = "") -> Stream | None:
         stream = self._streams.pop(identity, None)
