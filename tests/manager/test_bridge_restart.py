@@ -68,6 +68,24 @@ def test_one_that_is_started_again_is_said_to_be_ok(scene: Scene) -> None:
     assert (status.health, status.cause) == (Health.OK, "")
 
 
+def test_one_that_was_lost_before_it_was_watched_is_not_kept(scene: Scene) -> None:
+    make = scene._make
+
+    def lose(name: str, options: Any) -> MemoryBridge:
+        bridge = make(name, options)
+        if len(scene.made[name]) == 1:
+            bridge.report(Health.LOST, "its reader ended")
+        return bridge
+
+    scene.robot.registry.add(BridgeType("brief", "for tests", lose, contract=2))
+    scene.robot.apply(loads(ROBOT.replace("one: {plugin: memory}", "one: {plugin: brief}")))
+    scene.robot.resolve("camera")
+    wait(lambda: "lost" in scene.changes("bridge one"))
+    scene.robot.request("camera").kill()
+    assert len(scene.made["one"]) == 2
+    wait(lambda: scene.made["one"][0].closed)
+
+
 def test_what_a_lost_one_still_reports_is_not_about_the_next(scene: Scene) -> None:
     scene.robot.resolve("camera")
     scene.robot.resolve("lamp")

@@ -181,9 +181,13 @@ class BridgeSet:
         self._lock = threading.Lock()
         self._closed = False
         self.machines = Machines(specs, listening, self._note_health, self._state)
-        for name, bridge in ready.items():
-            self._bridges[name] = bridge
+        self._bridges.update(ready)
+
+    def begin(self) -> None:
+        """Take what bridges report, and listen for other machines."""
+        for name, bridge in self._bridges.copy().items():
             self._watch(name, bridge)
+        self.machines.begin()
 
     def show(self, status: Callable[[], StatusMap]) -> None:
         """Have bridges of this process read the manager's status; before any of them is used."""
@@ -220,7 +224,6 @@ class BridgeSet:
                 if keep:
                     self._bridges[name] = bridge
                     was_lost = self._health.pop(name, _FINE)[0] is Health.LOST
-                    self._watch(name, bridge)
         if not keep:
             bridge.close()
             self._require_open()
@@ -228,6 +231,7 @@ class BridgeSet:
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         if was_lost:
             self._listener(HealthEvent(name, Health.OK, "it was started again"))
+        self._watch(name, bridge)
         return bridge
 
     def running(self, name: str) -> Bridge | None:
@@ -286,7 +290,8 @@ class BridgeSet:
                 new = staged.made.pop(name, None)
                 if new is not None:
                     self._bridges[name] = new
-                    self._watch(name, new)
+        for name in changed & self._bridges.keys():
+            self._watch(name, self._bridges[name])
         self.machines.adopt(staged.joining, frozenset(changed))
 
     def retire_replaced(self, in_use: Callable[[Bridge], bool]) -> None:
@@ -360,7 +365,10 @@ class BridgeSet:
             raise ConnectionClosedError("the robot manager is closed")
 
     def _watch(self, name: str, bridge: Bridge) -> None:
-        """Take what a bridge reports, which is listed, as long as it bears the name."""
+        """Take what a bridge reports, which is listed, as long as it bears the name.
+
+        Without the lock: what it has said already is reported at once.
+        """
 
         # Looked at again as it arrives: a thread that was about to report as another one reported
         # the loss must not have the next instance lost, too.

@@ -139,7 +139,7 @@ class RobotManager(RobotView):
         self._recordings: dict[str, recorder.Recording] = {}
         self._recording_numbers = itertools.count(1)
         self._unobserve = observe(self._identity[:8], self.status)
-        self._bridges.machines.begin()
+        self._bridges.begin()
 
     @property
     def identity(self) -> str:

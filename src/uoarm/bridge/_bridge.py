@@ -86,6 +86,10 @@ class Bridge(BridgeSteps):
         self._is_closed = False
         self._process = generation()
         self._listener: Callable[[HealthEvent], None] | None = None
+        # What was said last of the whole bridge before anything listened: a thread that it began
+        # as it was made may have lost the framework by then. None after that.
+        self._early: HealthEvent | None = None
+        self._was_watched = False
         self._pending_calls = CallsUnderWay()
 
     @final
@@ -344,8 +348,14 @@ class Bridge(BridgeSteps):
 
     @final
     def watch(self, listener: Callable[[HealthEvent], None] | None) -> None:
-        """Have one listener called with health events; None ends it. It must not block."""
-        self._listener = listener
+        """Have one listener called with health events; None ends it. It must not block.
+
+        The first one is called at once where the bridge said before that it is not well.
+        """
+        self._listener, self._was_watched = listener, True
+        early, self._early = self._early, None
+        if listener is not None and early is not None and early.health is not Health.OK:
+            listener(early)
 
     @final
     def close(self, *, timeout: float = 5.0) -> None:
@@ -413,13 +423,17 @@ class Bridge(BridgeSteps):
         again, or LOST when it gives up. It must not report a lost channel as OK: that is closed.
         Where the last message of a source could not be read, the core adds why to what ails it.
         """
+        refusal = channel.refusal if isinstance(channel, Source) else ""
+        health = Health(health)
+        if refusal and health in {Health.DEGRADED, Health.LOST} and refusal not in cause:
+            cause = f"{cause}; the last message that came cannot be read: {refusal}"
+        event = HealthEvent(self.name, health, cause, channel, component)
+        if not self._was_watched and channel is None and component is None:
+            self._early = event
+        # After that: one that begins to listen just now finds it there, or is found here.
         listener = self._listener
         if listener is not None and not self._is_closed:
-            refusal = channel.refusal if isinstance(channel, Source) else ""
-            health = Health(health)
-            if refusal and health in {Health.DEGRADED, Health.LOST} and refusal not in cause:
-                cause = f"{cause}; the last message that came cannot be read: {refusal}"
-            listener(HealthEvent(self.name, health, cause, channel, component))
+            listener(event)
 
     def facts(self) -> Mapping[str, object]:
         """Return what the bridge knows of its own work now, for the status.
