@@ -13,7 +13,7 @@ from rclpy.action import ActionServer
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import Image, LaserScan
+from sensor_msgs.msg import Image, LaserScan, NavSatFix
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from test_msgs.action import Fibonacci
@@ -33,10 +33,12 @@ def main() -> None:
     scan = LaserScan(ranges=[0.5, float("inf"), float("nan")], range_max=2.5)
     pictures = node.create_publisher(Image, "/behind/picture", 10)
     scans = node.create_publisher(LaserScan, "/behind/scan", 10)
+    fixes = node.create_publisher(NavSatFix, "/behind/fix", 10)
 
     def publish() -> None:
         pictures.publish(picture)
         scans.publish(scan)
+        fixes.publish(NavSatFix(position_covariance=[float(place) for place in range(9)]))
 
     node.create_timer(1 / HERTZ, publish)
     echo = node.create_publisher(String, "/behind/echoed", 1000)

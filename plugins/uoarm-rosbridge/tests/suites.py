@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge, Registry
@@ -64,6 +66,13 @@ class EitherSuite:
             eventually(lambda message=message: collector.messages[-1] == message, "it comes")
         assert [message for message in collector.messages if message != {"data": "first"}] == sent
         assert sink.drain(patience())
+
+    def test_what_has_an_array_of_a_fixed_size_comes_too(self, bridge: Bridge) -> None:
+        fix, collector = at(Role.OUTPUT, "/behind/fix"), Collector()
+        eventually(lambda: is_there(bridge, fix), "the node is there")
+        bridge.open_source(fix, stream(bridge, fix), collector.deliver)
+        message: Any = collector.wait(1)[0]
+        assert list(message["position_covariance"]) == list(range(9))
 
     def test_services_are_called_and_served(self, bridge: Bridge) -> None:
         for data in (True, False):

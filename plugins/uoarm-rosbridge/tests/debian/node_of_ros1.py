@@ -12,7 +12,7 @@ import time
 import actionlib
 import rospy
 from actionlib.msg import TwoIntsAction, TwoIntsResult
-from sensor_msgs.msg import Image, LaserScan
+from sensor_msgs.msg import Image, LaserScan, NavSatFix
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
@@ -29,6 +29,7 @@ def main():
     scan = LaserScan(ranges=[0.5, float("inf"), float("nan")], range_max=2.5)
     pictures = rospy.Publisher("/behind/picture", Image, queue_size=10)
     scans = rospy.Publisher("/behind/scan", LaserScan, queue_size=10)
+    fixes = rospy.Publisher("/behind/fix", NavSatFix, queue_size=10)
     kept = rospy.Publisher("/behind/map", String, queue_size=1, latch=True)
     kept.publish("a map")
     echo = rospy.Publisher("/behind/echoed", String, queue_size=1000)
@@ -45,6 +46,7 @@ def main():
     while not rospy.is_shutdown():
         pictures.publish(picture)
         scans.publish(scan)
+        fixes.publish(NavSatFix(position_covariance=[float(place) for place in range(9)]))
         time.sleep(0.05)
 
 
