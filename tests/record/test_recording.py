@@ -627,3 +627,21 @@ def hang_writer(recording: Recording) -> Hang:
 
     object.__setattr__(form, "encode", slow)
     return hang
+
+
+def test_a_recording_that_finds_no_thread_leaves_nothing_open(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    robot, start = make_robot(), threading.Thread.start
+
+    def refuse(thread: threading.Thread) -> None:
+        if thread.name == "uoarm-recording":
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    with pytest.raises(RuntimeError, match="new thread"):
+        robot.record("counter", path=tmp_path / "run.mcap")
+    assert robot.connections() == ()
+    assert list(tmp_path.iterdir()) == []

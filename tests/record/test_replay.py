@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,13 +19,13 @@ from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import Endpoint, MessageStructure, QueuePolicy, Role, StatusEvent
-from uoarm.record import _bridge
+from uoarm.record import _bridge, _reading
 from uoarm.record._bridge import RecordingBridge
 from uoarm.record._checking import open_recording
 from uoarm.record._reading import McapReader
 from uoarm.record._records import MAGIC
 from uoarm.record.plugin import PlaybackOptions
-from uoarm.testing import Collector, MemoryBridge, patience, wait
+from uoarm.testing import Background, Collector, MemoryBridge, patience, wait
 
 BLOCK = QueuePolicy(length=1000, policy="block", timeout=600)
 REPLAY = """
@@ -561,3 +563,18 @@ def test_a_channel_that_a_cut_file_lost_names_the_cut(tmp_path: Path) -> None:
     path.write_bytes(MAGIC + b"\x06\xff")
     with pytest.raises(BridgeError, match=r"it has none; it ends within a record"):
         played(path, "/text", 1)
+
+
+def test_a_part_for_which_there_is_no_thread_is_read_by_who_wants_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    found: Any = ({}, ())
+    part: Any = SimpleNamespace(at=0, octets=1)
+    cache = _reading._PartCache(lambda *_, **__: found)
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refuse)
+        cache.prepare(part)
+    assert Background(lambda: cache.get(part)).result() == found

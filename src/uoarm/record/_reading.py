@@ -14,6 +14,7 @@ import zlib
 from bisect import bisect_left
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, Protocol, TypeAlias
@@ -562,13 +563,11 @@ class _PartCache:
             return
         loaded, is_new = self._find(part)
         if is_new:
-            threading.Thread(
-                target=self._load,
-                args=(part, loaded),
-                kwargs={"is_ahead": True},
-                name="uoarm-recording-ahead",
-                daemon=True,
-            ).start()
+            load = partial(self._load, part, loaded, is_ahead=True)
+            try:
+                threading.Thread(target=load, name="uoarm-recording-ahead", daemon=True).start()
+            except RuntimeError:  # the system gives no more; who gets it waits until it is read
+                load()
 
     def _find(self, part: _Part) -> tuple[_Loaded, bool]:
         with self._lock:

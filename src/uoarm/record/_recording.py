@@ -124,17 +124,17 @@ class Recording:
         if options.ring is None:
             # Before anything is opened: a path that cannot be written costs no connection.
             self._file = self._begin_file()
+        self._thread = threading.Thread(target=self._run, name="uoarm-recording", daemon=True)
         try:
             self._open(timeout)
+            self._report(self._subject, "began", ", ".join(self.functions))
+            self._thread.start()
         except BaseException:
             self._kill()
             if self._file is not None:
                 self._file.abandon()
                 self._file.path.unlink(missing_ok=True)
             raise
-        self._report(self._subject, "began", ", ".join(self.functions))
-        self._thread = threading.Thread(target=self._run, name="uoarm-recording", daemon=True)
-        self._thread.start()
 
     def status(self) -> RecordingStatus:
         """Return what has come and what was written so far."""
