@@ -56,6 +56,19 @@ def test_a_type_of_another_name_than_its_plugin_is_found(points: list[EntryPoint
     assert Registry(points).types["more"].name == "more"
 
 
+def test_entry_points_need_not_be_comparable(points: list[EntryPoint]) -> None:
+    """On CPython 3.10, those of importlib_metadata and those of the library's own are not."""
+
+    class Foreign(EntryPoint):
+        __hash__ = EntryPoint.__hash__
+
+        def __eq__(self, other: object) -> bool:
+            raise AttributeError("_key")
+
+    registry = Registry([Foreign(point.name, point.value, point.group) for point in points])
+    assert registry.types["more"].name == "more"
+
+
 @pytest.mark.parametrize("asked", ["early", "late", "more", "nothing"])
 def test_what_is_asked_first_changes_no_answer(asked: str, points: list[EntryPoint]) -> None:
     registry = Registry(points)

@@ -255,7 +255,10 @@ class Registry:
             return sorted(self._known)
 
     def _load(self, points: list[EntryPoint]) -> None:
-        self._unread = [point for point in self._unread if point not in points]
+        # By name: on CPython 3.10 an entry point is not comparable to that of importlib_metadata,
+        # which reads all of them once any library has imported it.
+        names = {point.name for point in points}
+        self._unread = [point for point in self._unread if point.name not in names]
         for point in points:
             try:
                 types = values_of(point, BridgeHooks, "uoarm_bridge_types", BridgeType)
