@@ -423,6 +423,24 @@ def test_a_hint_that_cannot_be_converted_is_named_with_its_place() -> None:
         reader(list[Tree] | dict[str, Tree], "here")
 
 
+MEMBER = Literal[typed_parts.Mode.FAST]
+
+
+@pytest.mark.parametrize(
+    "hint", [MEMBER | int, list[MEMBER | int], MEMBER | typed_parts.Point | None]
+)
+def test_some_members_of_an_enumeration_are_no_choice_beside_others(hint: Any) -> None:
+    with pytest.raises(HintError, match=r"here: .*write the enumeration in place of its Literal"):
+        reader(hint, "here")
+
+
+def test_some_members_of_an_enumeration_are_read_alone() -> None:
+    read = reader(MEMBER | None, "here")
+    assert read is not None
+    assert read("fast") is typed_parts.Mode.FAST
+    assert read(None) is None
+
+
 @pytest.mark.parametrize("role", [Role.INPUT, Role.SERVICE])
 @pytest.mark.parametrize(
     ("name", "expected"),

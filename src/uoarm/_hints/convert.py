@@ -193,7 +193,7 @@ def _require_readable(hint: Any, seen: set[Any]) -> None:
     """Refuse what cattrs only finds with the first message.
 
     Raises:
-        TypeError: a class is not built of its fields.
+        TypeError: a class is not built of its fields, or a choice is of some of an enumeration.
         Exception: as cattrs has it, for a union in which also plain values are.
     """
     hint = unwrapped(hint)
@@ -205,6 +205,10 @@ def _require_readable(hint: Any, seen: set[Any]) -> None:
         if origin is Literal:
             return
         if origin in {Union, UnionType}:
+            kinds = [_convertible(part) for part in arguments if part is not NoneType]
+            if len(kinds) > 1 and any(map(_is_of_members, kinds)):
+                text = "beside other types an enumeration is read as a whole only"
+                raise TypeError(f"{text}: write the enumeration in place of its Literal")
             classes = [
                 part
                 for part in arguments
@@ -229,6 +233,11 @@ def _require_readable(hint: Any, seen: set[Any]) -> None:
             raise TypeError(text) from None
     for part, _ in parts.values():
         _require_readable(part, seen)
+
+
+def _is_of_members(hint: Any) -> bool:
+    """Say whether a hint is a Literal of an enumeration's members."""
+    return get_origin(hint) is Literal and any(isinstance(item, Enum) for item in get_args(hint))
 
 
 def _sentence_of(error: BaseException, kind: type | None) -> str:
