@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uoarm.config import is_same, loads, rewrite
+from uoarm.config import compare, is_same, loads, rewrite
 from uoarm.errors import ConfigurationError
 
 FILE = """\
@@ -68,6 +68,25 @@ def test_what_is_the_same_stays_to_the_letter() -> None:
 def test_one_value_is_one_line_and_keeps_its_comment() -> None:
     wanted = FILE.replace("priority: 2  # by a test in March", "priority: 3")
     assert rewrite(FILE, without_comments(wanted)) == FILE.replace("priority: 2 ", "priority: 3 ")
+
+
+@pytest.mark.parametrize(
+    "line", ["map: {v: {const: {}}}", "map: {v: {from: v, default: {}}}", "parameters: {n: {}}"]
+)
+def test_a_number_is_no_truth_value_and_a_float_no_integer(line: str) -> None:
+    own, inner = ("", line) if line.startswith("map") else (line, "")
+    fed = ["      - name: fed  # last", "        bridge: arm", f"        {own}",
+           "        inputs:", "          x:", "            endpoint: [x]",
+           "            from: camera", f"            {inner}",
+           "        output: {endpoint: [y]}"]  # fmt: skip
+    text = FILE.replace("{plugin: memory}", "{plugin: python}") + "\n".join(
+        ["  other:", "    components:", *(line for line in fed if line.strip()), ""]
+    )
+    one, *others = (text.replace("{}", value) for value in ("1", "1.0", "true"))
+    for other in others:
+        assert compare(loads(one), loads(other)).changes == ("~ component fed",)
+        assert not is_same(loads(one), loads(other))
+        assert rewrite(one, without_comments(other)) == other
 
 
 def test_what_is_new_stands_behind_and_what_is_gone_takes_no_comment_of_others_with_it() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -171,7 +172,7 @@ def _edits(old: _Text, entry: _Entry, new: _Text, other: _Entry) -> Iterator[_Ed
     for name, value in mine.items():
         if name not in theirs:
             yield _Edit(value.first, value.end, ())
-        elif old.value(value.path) != new.value(theirs[name].path):
+        elif _exact(old.value(value.path)) != _exact(new.value(theirs[name].path)):
             yield from _changed(old, value, new, theirs[name])
         last = value
     assert last is not None, "the caller looked"
@@ -179,6 +180,11 @@ def _edits(old: _Text, entry: _Entry, new: _Text, other: _Entry) -> Iterator[_Ed
             for line in new.moved(value, last.column)]  # fmt: skip
     if more:
         yield _Edit(last.end, last.end, tuple(more))
+
+
+def _exact(value: Any) -> str:
+    """Return by what to compare: 1, 1.0 and true are equal to Python."""
+    return json.dumps(value, sort_keys=True)
 
 
 def _changed(old: _Text, entry: _Entry, new: _Text, other: _Entry) -> Iterator[_Edit]:

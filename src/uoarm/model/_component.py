@@ -9,7 +9,7 @@ from types import MappingProxyType
 from attrs import field, frozen
 
 from uoarm.model._command import CommandPolicy
-from uoarm.model._message import MessageStructure, Options, QueuePolicy
+from uoarm.model._message import MessageStructure, Options, QueuePolicy, exact
 
 _NOTHING: Mapping[str, object] = MappingProxyType({})
 
@@ -46,7 +46,7 @@ class Endpoint:
     address: tuple[str, ...]
     port: str = "default"
     options: Options = field(default=_NOTHING, hash=False)
-    parameters: Options = field(default=_NOTHING, hash=False)
+    parameters: Options = field(default=_NOTHING, eq=exact, hash=False)
     command: CommandPolicy | None = None
     is_offered: bool = False
 
@@ -129,7 +129,7 @@ class Input:
     name: str
     endpoint: Endpoint
     source: PortRef | None = None
-    mapping: Mapping[str, object] | None = field(default=None, hash=False)
+    mapping: Mapping[str, object] | None = field(default=None, eq=exact, hash=False)
     allow_loss: tuple[str, ...] = ()
     declared: MessageStructure | None = None
     queue: QueuePolicy | None = None
@@ -176,7 +176,7 @@ class Component:
     inputs: tuple[Input, ...] = ()
     outputs: tuple[Output, ...] = ()
     service: Service | None = None
-    parameters: Options = field(default=_NOTHING, hash=False)
+    parameters: Options = field(default=_NOTHING, eq=exact, hash=False)
     match: Match | None = None
 
     def output(self, port: str | None) -> Output | None:
@@ -244,7 +244,7 @@ class Need:
     exclude: tuple[str, ...] = ()
     unfed: tuple[str, ...] = ()
     from_application: tuple[str, ...] = ()
-    mapping: Options = field(factory=dict, hash=False)
+    mapping: Options = field(factory=dict, eq=exact, hash=False)
     options: Options = field(factory=dict, hash=False)
     refuse_ambiguous: bool = False
 

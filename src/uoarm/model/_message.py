@@ -74,6 +74,16 @@ def _text(value: Any) -> str:
             raise error from None
 
 
+def exact(mapping: Mapping[str, object] | None) -> str:
+    """Return by what to compare: 1, 1.0 and true are equal to Python, and none is the others."""
+    if not mapping:
+        return "" if mapping is None else "{}"
+    try:
+        return _text(dict(mapping))
+    except TypeError:  # not from a file
+        return repr(mapping)
+
+
 def _in_hex(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {name: _in_hex(part) for name, part in value.items()}

@@ -9,7 +9,7 @@ from enum import Enum
 from attrs import field, frozen
 
 from uoarm.model._component import Endpoint, Meaning
-from uoarm.model._message import MessageStructure, QueuePolicy
+from uoarm.model._message import MessageStructure, QueuePolicy, exact
 from uoarm.model._wire import to_json
 
 _STATED = Meaning()
@@ -33,7 +33,7 @@ class OfferedPort:
 
     name: str
     endpoint: Endpoint
-    mapping: Mapping[str, object] | None = field(default=None, hash=False)
+    mapping: Mapping[str, object] | None = field(default=None, eq=exact, hash=False)
     allow_loss: tuple[str, ...] = ()
     declared: MessageStructure | None = None
     queue: QueuePolicy | None = None
@@ -59,8 +59,8 @@ class OfferedService:
     endpoint: Endpoint
     request: MessageStructure | None = None
     reply: MessageStructure | None = None
-    request_mapping: Mapping[str, object] | None = field(default=None, hash=False)
-    reply_mapping: Mapping[str, object] | None = field(default=None, hash=False)
+    request_mapping: Mapping[str, object] | None = field(default=None, eq=exact, hash=False)
+    reply_mapping: Mapping[str, object] | None = field(default=None, eq=exact, hash=False)
     request_losses: tuple[str, ...] = ()
     reply_losses: tuple[str, ...] = ()
     timeout: float = 10.0

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from attrs import field, frozen
 
 from uoarm.model._component import Component
-from uoarm.model._message import MessageStructure
+from uoarm.model._message import MessageStructure, exact
 
 _MAX_LINES = 200
 _MAX_EXAMPLE = 160
@@ -67,7 +67,7 @@ class Edge:
     input: str
     producer_structure: MessageStructure
     consumer_structure: MessageStructure
-    mapping: Mapping[str, object] | None = field(default=None, hash=False)
+    mapping: Mapping[str, object] | None = field(default=None, eq=exact, hash=False)
     losses: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     unstated: tuple[str, ...] = ()
