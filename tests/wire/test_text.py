@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from tests.structures import closed
 
-from uoarm._wire._text import make_reader, read_text, text_schema, viewer_schema, write_text
+from uoarm._wire._text import read_text, write_text
+from uoarm._wire._text_schema import make_reader, text_schema, viewer_schema
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.local import Range
 from uoarm.model import Budget, BudgetUse

@@ -1,16 +1,16 @@
 """What numbers, octets and structures mean: read from annotations, compared by path, after fit."""
 
-from uoarm._meaning._judge import (
+from uoarm._meaning._judge import judge
+from uoarm._meaning._sizes import JSON_LIMIT, OCTETS_LIMIT, sizes_of
+from uoarm._meaning._statements import (
     AROUND,
     INHERITED,
     SCALED,
     MeaningDifference,
-    judge,
     name_of_type,
     said_around,
     write_places,
 )
-from uoarm._meaning._sizes import JSON_LIMIT, OCTETS_LIMIT, sizes_of
 from uoarm._meaning._units import Conversion, UnitError, conversion, missing_for_units, unit_mistake
 
 __all__ = [

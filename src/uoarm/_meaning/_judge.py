@@ -8,102 +8,41 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from fractions import Fraction
 from itertools import chain, zip_longest
-from typing import Any, TypeAlias
+from typing import Any
 
 from attrs import define, field, frozen
 
 from uoarm._encodable import shown
-from uoarm._meaning._units import Conversion, UnitError, conversion
+from uoarm._meaning._statements import (
+    AROUND,
+    INHERITED,
+    WORDS_COMPARED,
+    Findings,
+    MeaningDifference,
+    Path,
+    Said,
+    compare_types,
+    compare_units,
+    compare_words,
+    name_of_type,
+    said_around,
+    with_own,
+)
 from uoarm.schema import document_of, follow
-
-_PLAIN = ("Byte", "Char", "Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8",
-          "UInt16", "UInt32", "UInt64")  # fmt: skip
-# Each with where it says so.
-_BUILT_IN: tuple[frozenset[str], ...] = (
-    # Their definitions: examples without a meaning, "create your own semantically meaningful one".
-    *(
-        frozenset(f"{package}/msg/{name}" for package in ("std_msgs", "example_interfaces")
-                  for name in names)
-        for names in (_PLAIN, ("Bool",), ("String",), ("Empty",),
-                      tuple(f"{name}MultiArray" for name in _PLAIN))
-    ),
-    # Point32.msg: "a point in free space (with 32 bits of precision)"; the foxglove schemas name
-    # the ROS message that each stands for.
-    frozenset({"geometry_msgs/msg/Point", "geometry_msgs/msg/Point32", "foxglove.Point3",
-               "RTC::Point3D"}),
-    frozenset({"geometry_msgs/msg/Vector3", "foxglove.Vector3", "RTC::Vector3D"}),
-    frozenset({"geometry_msgs/msg/Quaternion", "foxglove.Quaternion", "RTC::Quaternion"}),
-    frozenset({"geometry_msgs/msg/Pose", "foxglove.Pose"}),
-    frozenset({"builtin_interfaces/msg/Time", "foxglove.Timestamp", "RTC::Time"}),
-    frozenset({"builtin_interfaces/msg/Duration", "foxglove.Duration"}),
-)  # fmt: skip
-
-
-def name_of_type(declared: object) -> str:
-    """Return the name in what `x-type` says, nothing where it says none."""
-    if isinstance(declared, Mapping):
-        declared = declared.get("name")
-    return declared if isinstance(declared, str) else ""
-
-
-def _are_alike(one: str, other: str, declared: tuple[frozenset[str], ...]) -> bool:
-    """Say whether two names of types stand for the same: equal, built in, or declared so."""
-    return one == other or any(one in names and other in names for names in (*declared, *_BUILT_IN))
-
-
-# What an object or an array says of these holds for all within it that says nothing else.
-INHERITED = ("x-unit", "x-quantity", "x-frame", "x-time")
-# Of what an adapter emits, as tuples, which no structure that was read has.
-AROUND = "x-around"
-"""What is said around a value, keyword by keyword; it is of what the value itself does not say."""
-SCALED = "x-scaled"
-"""The factor and the offset that a number has gone through."""
-
-
-Path: TypeAlias = "tuple[str, ...]"
-Said: TypeAlias = "Mapping[str, Any]"
 
 ITEMS = "[]"
 _MOST_PAIRS = 50_000
 _MOST_DEPTH = 100
 _MOST_VIEWS = 32
 _MOST_LISTED = 200
-_MOST_SHOWN = 8
 _NUMBERS = frozenset({"number", "integer"})
-# How exact the factor of a map must be: what people write, 57.3 or 0.01745, will do.
-_TOLERANCE = 1e-3
 _NOTHING: Said = {}
 _MEASURES = frozenset({"x-unit", "x-quantity", "x-time"})
 _PARTS = frozenset({"properties", "additionalProperties", "items", "prefixItems"})
 _WORDS_SAID = frozenset({"x-type", "x-unit", "x-quantity", "x-frame", "x-encoding", "x-time"})
 _INHERITED = frozenset(INHERITED)
 _CHOICES = frozenset({"$ref", "allOf", "anyOf", "oneOf"})
-_WORDS = {
-    "x-quantity": "quantities", "x-frame": "frames", "x-encoding": "encodings",
-    "x-time": "kinds of time",
-}  # fmt: skip
-_WORDS_COMPARED = frozenset(_WORDS)
-
-
-@frozen
-class MeaningDifference:
-    """What two sides state of one value and do not agree on.
-
-    Attributes:
-        path: of the consumer's value; `[]` stands for the items of an array.
-        sentence: what is different.
-        producer: what the producer states.
-        consumer: what the consumer states.
-        conversion: what would turn the one into the other, None where nothing does.
-    """
-
-    path: Path
-    sentence: str
-    producer: str
-    consumer: str
-    conversion: Conversion | None = None
 
 
 @frozen
@@ -130,7 +69,7 @@ def judge(producer: Any, consumer: Any, alike: tuple[frozenset[str], ...] = ()) 
         alike: names of types that are declared to stand for the same.
     """
     walk = _Walk(producer, consumer, alike)
-    found = _Findings()
+    found = Findings()
     if _are_equal(producer, consumer):
         walk.find_unstated(producer, (), _NOTHING, found)
     else:
@@ -150,20 +89,6 @@ def _are_equal(one: Any, other: Any) -> bool:
 
 
 @define
-class _Findings:
-    """What was found, in its order; what is found again is no more than it was."""
-
-    differences: dict[MeaningDifference, None] = field(factory=dict)
-    unstated: dict[Path, None] = field(factory=dict)
-    notes: dict[str, None] = field(factory=dict)
-
-    def add(self, other: _Findings) -> None:
-        self.differences |= other.differences
-        self.unstated |= other.unstated
-        self.notes |= other.notes
-
-
-@define
 class _Walk:
     """One judgement.
 
@@ -178,11 +103,11 @@ class _Walk:
     pairs: int = 0
     # What pairs with a choice or a reference came to; nothing yet of those that are under way,
     # since what refers to itself says the same again.
-    referred: dict[tuple[int, int, str], _Findings] = field(factory=dict)
+    referred: dict[tuple[int, int, str], Findings] = field(factory=dict)
     # Schemas that hold together, by their identities: what is met again is the same object.
     joint: dict[tuple[int, ...], Said] = field(factory=dict)
 
-    def find_unstated(self, schema: Any, path: Path, said: Said, found: _Findings) -> None:
+    def find_unstated(self, schema: Any, path: Path, said: Said, found: Findings) -> None:
         """Find what rests on shape alone in a schema of both sides, where nothing can differ."""
         if not (schema.__class__ is dict or isinstance(schema, Mapping)):
             return
@@ -201,7 +126,7 @@ class _Walk:
                 found.unstated[path] = None
         else:
             if not _INHERITED.isdisjoint(schema):
-                said = _with_own(said, schema)
+                said = with_own(said, schema)
             if not _PARTS.isdisjoint(schema):
                 for name, child, _ in (*_fields(schema, schema), *_items(schema, schema)):
                     self.find_unstated(child, (*path, name), said, found)
@@ -216,7 +141,7 @@ class _Walk:
         mine: Said,
         theirs: Said,
         covered: bool,  # noqa: FBT001 - as above
-        found: _Findings,
+        found: Findings,
     ) -> None:
         """Compare two schemas and all within them."""
         # What is read from JSON is a dict, and recognised faster.
@@ -233,7 +158,7 @@ class _Walk:
             return
         key = (id(one), id(other), f"{mine} {theirs} {covered}")
         if key not in self.referred:
-            self.referred[key] = report = _Findings()
+            self.referred[key] = report = Findings()
             self._compare_choices(one, other, path, mine, theirs, covered, report)
         found.add(self.referred[key])
 
@@ -245,7 +170,7 @@ class _Walk:
         mine: Said,
         theirs: Said,
         covered: bool,  # noqa: FBT001 - as in `compare`
-        found: _Findings,
+        found: Findings,
     ) -> None:
         try:
             made, taken = self._views(one, self.producer), self._views(other, self.consumer)
@@ -261,7 +186,7 @@ class _Walk:
                 near = [mapping for mapping in near if self._may_meet(view, mapping)] or near
             reports = []
             for mapping in near:
-                reports.append(_Findings())
+                reports.append(Findings())
                 self._compare_views(view, mapping, path, mine, theirs, covered, reports[-1])
             if reports:
                 found.add(min(reports, key=lambda report: len(report.differences)))
@@ -274,7 +199,7 @@ class _Walk:
         mine: Said,
         theirs: Said,
         covered: bool,  # noqa: FBT001 - as in `compare`
-        found: _Findings,
+        found: Findings,
     ) -> None:
         if ("$id" in one or "$id" in other) and self._is_outside(one, other):
             with self._within(one, other):
@@ -283,16 +208,16 @@ class _Walk:
         one = {**said_around(one), **one} if AROUND in one else one
         if not (_WORDS_SAID.isdisjoint(one) and _WORDS_SAID.isdisjoint(other)):
             if "x-type" in one and "x-type" in other:
-                known = self._compare_types(one, other, path, found)
+                known = compare_types(one, other, path, self.alike, found)
                 if known is False:
                     return
                 covered = covered or known is True
-            mine, theirs = _with_own(mine, one), _with_own(theirs, other)
-            if not (_WORDS_COMPARED.isdisjoint(one) and _WORDS_COMPARED.isdisjoint(other)):
-                _compare_words({**one, **mine}, {**other, **theirs}, one, other, path, found)
+            mine, theirs = with_own(mine, one), with_own(theirs, other)
+            if not (WORDS_COMPARED.isdisjoint(one) and WORDS_COMPARED.isdisjoint(other)):
+                compare_words({**one, **mine}, {**other, **theirs}, one, other, path, found)
         # A unit around numbers is that of those which state no other: it is compared at each.
         if mine and theirs and _may_be_measured(one, other):
-            _compare_units(one, path, mine.get("x-unit"), theirs.get("x-unit"), found)
+            compare_units(one, path, mine.get("x-unit"), theirs.get("x-unit"), found)
         if "x-octets" in one or "x-octets" in other:
             if not covered and not ("x-encoding" in one and "x-encoding" in other):
                 found.unstated[path] = None
@@ -341,27 +266,6 @@ class _Walk:
             yield
         finally:
             self.producer, self.consumer = around
-
-    def _compare_types(self, one: Said, other: Said, path: Path, found: _Findings) -> bool | None:
-        """Say whether types are named that stand for the same; None: not on both sides."""
-        mine, theirs = name_of_type(one.get("x-type")), name_of_type(other.get("x-type"))
-        if not mine or not theirs:
-            return None
-        if not _are_alike(mine, theirs, self.alike):
-            sentence = f"the types differ: {mine} is not {theirs}"
-            reports = f"x-type {mine}", f"x-type {theirs}"
-            found.differences[MeaningDifference(path, sentence, *reports)] = None
-            return False
-        for key in ("version", "hash"):
-            said = [_of_type(mapping, key) for mapping in (one, other)]
-            if mine == theirs and None not in said and said[0] != said[1]:
-                where = write_places(path) or "message"
-                found.notes[
-                    f"{where}: the producer's {mine} has {key} {said[0]}, the consumer's {said[1]}"
-                ] = None
-        if mine == theirs and "x-constants" in one and "x-constants" in other:
-            _compare_constants(one["x-constants"], other["x-constants"], mine, path, found)
-        return True
 
     def _views(self, schema: Any, root: Any, depth: int = 0) -> list[Said]:
         """Return the plain schemas that a schema is a choice of; references are followed."""
@@ -424,81 +328,6 @@ class _Walk:
         )
         parts = {id(part): part for part in chain.from_iterable(schemas)}
         return self.joint.setdefault(tuple(parts), {"allOf": list(parts.values())})
-
-
-def _compare_constants(one: Any, other: Any, name: str, path: Path, found: _Findings) -> None:
-    """Compare the names that two definitions of one type have for values."""
-    if one == other or not (isinstance(one, Mapping) and isinstance(other, Mapping)):
-        return
-    for key, value in one.items():
-        if key in other and repr(other[key]) != repr(value):
-            sentence = (
-                f"the constant {key} of {name} is {value!r} for the producer and {other[key]!r} "
-                "for the consumer"
-            )
-            reports = f"{key}={value!r}", f"{key}={other[key]!r}"
-            found.differences[MeaningDifference(path, sentence, *reports)] = None
-    more = [f"{key}={value!r}" for key, value in one.items() if key not in other]
-    if more:
-        where = write_places(path) or "message"
-        names = ", ".join(more[:_MOST_SHOWN])
-        note = f"{where}: the producer's {name} has constants that the consumer's has not: {names}"
-        found.notes[note] = None
-
-
-def said_around(schema: Said) -> dict[str, Any]:
-    """Return what an adapter found to be said around a value."""
-    said = schema.get(AROUND)
-    return dict(said) if isinstance(said, tuple) else {}
-
-
-def _with_own(around: Said, schema: Said) -> Said:
-    """Return what is said of values within a schema: by what is around it, or by itself."""
-    if _INHERITED.isdisjoint(schema):
-        return around
-    return {**around, **{key: schema[key] for key in INHERITED if key in schema}}
-
-
-def _compare_words(
-    one: Said, other: Said, here: Said, there: Said, path: Path, found: _Findings
-) -> None:
-    """Compare words, which are plain texts, where one of the schemas itself says one."""
-    for keyword, words in _WORDS.items():
-        if keyword not in here and keyword not in there:
-            continue
-        mine, theirs = one.get(keyword), other.get(keyword)
-        if isinstance(mine, str) and isinstance(theirs, str) and mine != theirs:
-            sentence = f"the {words} differ: {mine} is not {theirs}"
-            reports = f"{keyword} {mine}", f"{keyword} {theirs}"
-            found.differences[MeaningDifference(path, sentence, *reports)] = None
-
-
-def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Findings) -> None:
-    if mine == theirs or not (isinstance(mine, str) and isinstance(theirs, str)):
-        return
-    reports = f"x-unit {mine}", f"x-unit {theirs}"
-    scaled = one.get(SCALED)
-    scaled = scaled if isinstance(scaled, tuple) else None
-    try:
-        by = conversion(mine, theirs)
-    except UnitError as error:
-        sentence = f"{mine} and {theirs} cannot be compared: {error}"
-        found.differences[MeaningDifference(path, sentence, *reports)] = None
-        return
-    if scaled is not None:
-        sentence = _of_scaled(scaled, by, mine, theirs)
-        if sentence:
-            found.differences[MeaningDifference(path, sentence, *reports)] = None
-        elif by is None:
-            where = write_places(path)
-            found.notes[f"{where}: the map makes {theirs} of {mine} by a factor"] = None
-    elif by is None:
-        sentence = f"the units differ: {mine} measures something else than {theirs}"
-        found.differences[MeaningDifference(path, sentence, *reports)] = None
-    elif by.changes:
-        lines = ", ".join(f"{name}: {number}" for name, number in by.lines.items())
-        sentence = f"the units differ: {mine} becomes {theirs} with {lines}"
-        found.differences[MeaningDifference(path, sentence, *reports, by)] = None
 
 
 def _is_another(schema: Said, document: Any) -> bool:
@@ -577,35 +406,3 @@ def _are_of_one_kind(one: Said, other: Said) -> bool:
         kind = {text} if isinstance(text, str) else set(text or ())
         kinds.append({"number" if name == "integer" else name for name in kind})
     return not kinds[0] or not kinds[1] or bool(kinds[0] & kinds[1])
-
-
-def _of_scaled(scaled: Any, by: Conversion | None, mine: str, theirs: str) -> str:
-    """Say what is wrong with the factor of a map, or nothing.
-
-    One between different quantities, such as the radius of a wheel, is the configuration's own.
-    """
-    if by is None:
-        return ""
-    factor, offset = (Fraction(item) for item in scaled)
-    right = abs(abs(factor) - by.factor) <= _TOLERANCE * by.factor
-    if by.offset:
-        right = right and abs(offset - by.offset) <= _TOLERANCE * abs(by.offset)
-    if right:
-        return ""
-    has = Conversion(factor, offset).lines or {"scale": 1}
-    needs = by.lines or {"scale": 1}
-    said = [", ".join(f"{name}: {line}" for name, line in lines.items()) for lines in (has, needs)]
-    return f"the map has {said[0]}, but {mine} becomes {theirs} with {said[1]}"
-
-
-def _of_type(schema: Said, key: str) -> Any:
-    report = schema.get("x-type")
-    return report.get(key) if isinstance(report, Mapping) else None
-
-
-def write_places(path: Path) -> str:
-    """Write a path as reasons do: `pose.points[].x`."""
-    text = ""
-    for part in path:
-        text += part if part.startswith("[") else f".{part}" if text else part
-    return text

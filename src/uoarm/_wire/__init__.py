@@ -15,7 +15,8 @@ from uoarm._wire._forms import (
     salvage_id,
     write_or_error,
 )
-from uoarm._wire._text import dump_parts, is_octets, read_text, viewer_schema
+from uoarm._wire._text import dump_parts, is_octets, read_text
+from uoarm._wire._text_schema import viewer_schema
 
 __all__ = [
     "ASKED",

@@ -19,7 +19,8 @@ from uoarm._wire._binary import (
     read_binary,
     write_binary,
 )
-from uoarm._wire._text import make_reader, read_text, text_schema, write_text, write_text_parts
+from uoarm._wire._text import read_text, write_text, write_text_parts
+from uoarm._wire._text_schema import make_reader, text_schema
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, ControlMessage, Message, Op, Schema, message_octets
 
