@@ -10,7 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
-from bench.structure import imports_in, imports_of, small_modules
+from bench.structure import imports_in, imports_of, long_modules, small_modules
 from tests.processes import run_python
 
 import uoarm
@@ -358,6 +358,19 @@ def test_a_small_module_has_three_importers_or_is_a_way_in() -> None:
     found = {str(path.relative_to(PLUGINS.parent)) for path in small_modules()}
     assert found - SMALL == set(), "join each with the module that imports it"
     assert SMALL - found == set(), "no exceptions any more: take them out"
+
+
+def test_no_module_is_longer_than_one_idea() -> None:
+    assert long_modules() == [], "find the two ideas in each, and give each a name"
+
+
+def test_long_modules_are_found(tmp_path: Path) -> None:
+    package = tmp_path / "src" / "thing"
+    package.mkdir(parents=True)
+    for name, lines in {"whole": 600, "double": 601}.items():
+        (package / f"{name}.py").write_text("\n" * lines, encoding="utf-8")
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True, timeout=patience())
+    assert [path.stem for path in long_modules(tmp_path)] == ["double"]
 
 
 def test_small_modules_are_found(tmp_path: Path) -> None:

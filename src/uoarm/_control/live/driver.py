@@ -222,15 +222,10 @@ class Driver:
             self._lanes.abandon(event.waiter)
             raise
         if not self._wait_delivered(max(0.0, deadline - time.monotonic())):
-            text = f"{step_name}: an application that is called now holds it up"
-            raise BridgeTimeoutError(text)
+            raise BridgeTimeoutError(f"{step_name}: an application that is called now holds it up")
 
     def change_candidates(self, robot: Robot) -> None:
-        """Have other discovered candidates from now on; those in use stay as they run.
-
-        Args:
-            robot: the configuration in force, with these candidates.
-        """
+        """Have the candidates that were discovered for the configuration; those in use stay."""
         # They were found in seconds, in which some may have been requested: what is in use is
         # known, and stays so until they are in force, only to who owns the state.
         try:
@@ -462,9 +457,8 @@ class Driver:
         except Exception as error:  # noqa: BLE001 - the lane must go on
             self._log_failure(f"the control plane failed to do {shown(action)}", error)
         finally:
-            # Also where a second Ctrl-C ends the call: no close would find an end to what ends. In
-            # the lane's thread, which owns the state then if no other does: no event needs one of
-            # its own.
+            # Also where a second Ctrl-C ends the call: no close would find its end. In the lane's
+            # thread, which owns the state then if no other does: no event needs one of its own.
             if event is not None:
                 self.post(event)
 
