@@ -485,3 +485,38 @@ def test_what_comes_of_a_step_whose_waiter_was_interrupted_is_put_away() -> None
     assert late.empty()
     is_active.set()
     assert late.get(timeout=patience()) == "a bridge"
+
+
+def test_what_comes_of_a_step_is_put_away_where_the_signal_comes_as_a_thread_has_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    is_active, late = threading.Event(), SimpleQueue[str]()
+    submit = deadlines._workers.submit
+
+    def submit_and_signal(*arguments: Any) -> bool:
+        is_taken = submit(*arguments)
+        signal.raise_signal(signal.SIGINT)
+        return is_taken
+
+    def work() -> str:
+        is_active.wait()
+        return "a bridge"
+
+    monkeypatch.setattr(deadlines._workers, "submit", submit_and_signal)
+    with pytest.raises(KeyboardInterrupt):
+        deadlines.run("starting it", patience(), work, on_late=late.put)
+    is_active.set()
+    assert late.get(timeout=patience()) == "a bridge"
+
+
+def test_a_step_that_a_signal_kept_from_its_thread_does_not_count_as_hanging(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_: Any) -> NoReturn:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(deadlines._workers, "submit", refuse)
+    before = deadlines._hanging.steps.copy()
+    with pytest.raises(RuntimeError, match="new thread"):
+        deadlines.run("starting it", patience(), list)
+    assert deadlines._hanging.steps == before

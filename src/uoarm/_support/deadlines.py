@@ -21,6 +21,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, Generic, TypeAlias, TypeVar
 
+from uoarm._interrupts import Uninterrupted
 from uoarm._raised import contained
 from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
@@ -136,14 +137,19 @@ class _Job(Generic[T]):
         elif self._on_late is not None:
             self._on_late(self._result)
 
-    def wait(self) -> T:
-        """Wait for the result; the deadline may move to an inner step's meanwhile."""
+    def run(self) -> T:
+        """Begin, and wait for the result; the deadline may move to an inner step's meanwhile."""
+        is_begun = False
         try:
+            # A Ctrl-C just after the thread has it would leave its result to none.
+            with Uninterrupted():
+                _workers.submit(self.work)
+                is_begun = True
             self._wait()
         except BridgeTimeoutError:
             raise
         except BaseException:  # Ctrl-C: its caller waits no longer, as after its deadline
-            if not self._give_up():
+            if is_begun and not self._give_up():
                 self._put_away()
             raise
         if self._error is not None:
@@ -236,12 +242,11 @@ def run(
         if keeps_time:
             return action()
         job = _Job(step, limit, action, on_late, on_give_up, grace)
-        _workers.submit(job.work)
         if outer is None:
-            return job.wait()
+            return job.run()
         outer.isolated = job
         try:
-            return job.wait()
+            return job.run()
         finally:
             outer.isolated = None
     return _run_inside(outer, step, limit, action, on_late, on_give_up, grace)
