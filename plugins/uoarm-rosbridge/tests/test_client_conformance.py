@@ -223,8 +223,8 @@ def shared(lasting: ServedRobot) -> Iterator[Bridge]:
         yield made
 
 
-# Threads of the lasting server, which begin with the first large message.
-@pytest.mark.keeps("thread 'uoarm-decode", "thread 'uoarm-encode")
+# Threads of the lasting server: they begin with the first large message, or again after a rest.
+@pytest.mark.keeps("thread 'uoarm-decode", "thread 'uoarm-encode", "thread 'uoarm-serve-")
 class TestInAHost(SharesHost, TestRosbridgeClient):  # type: ignore[misc]
     """The whole suite with the bridge in a process of its own."""
 
