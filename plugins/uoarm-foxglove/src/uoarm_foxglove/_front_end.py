@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import difflib
 import functools
 import logging
 import time
@@ -271,9 +270,10 @@ class FoxgloveSession:
             stated = text_of(asked, "schemaName") if "schemaName" in asked else ""
             topic = self._listing.inputs.get(name if name.startswith("/") else f"/{name}")
             if topic is None:
-                close = difflib.get_close_matches(name[:_SHOWN], self._listing.inputs, n=1)
+                # Not the most similar of all: to compare thousands would hold the loop up.
+                parent = f"/{name.lstrip('/').partition('/')[0]}"
                 called = "topics to publish to are called /FUNCTION, or /FUNCTION/INPUT of several"
-                to_do = f"did you mean {close[0]!r}?" if close else called
+                to_do = f"did you mean {parent!r}?" if parent in self._listing.inputs else called
                 raise ControlMessageError(
                     f"advertise: {name[:_SHOWN]}: there is no such input; {to_do}"
                 )
