@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
 from typing import Any, TypeVar
 
-from attrs import field, frozen
+from attrs import field, fields, frozen
 
 from uoarm._support.files import UnreadableFileError, expanded, read_text
 from uoarm.environments import environment_folder
@@ -377,22 +377,26 @@ def write_lock(lock: Lock) -> str:
     parts: dict[str, LockedPart] = {}
     edges: dict[str, LockedEdge] = {}
     functions = {
-        name: _WrittenFunction(
-            tuple(_key(parts, part.component, part) for part in function.parts),
-            tuple(
+        name: _rebuilt(
+            function,
+            _WrittenFunction,
+            parts=tuple(_key(parts, part.component, part) for part in function.parts),
+            edges=tuple(
                 _key(edges, f"{edge.producer}.{edge.output} -> {edge.consumer}.{edge.input}", edge)
                 for edge in function.edges
             ),
-            function.passed_over,
-            function.refused,
-            tuple(_key(parts, part.component, part) for part in function.others),
+            others=tuple(_key(parts, part.component, part) for part in function.others),
         )
         for name, function in lock.functions.items()
     }
-    written = _WrittenLock(
-        functions, lock.structures, parts, edges, lock.version, lock.bridges, lock.offers
-    )
+    written = _rebuilt(lock, _WrittenLock, functions=functions, parts=parts, edges=edges)
     return json.dumps(to_json(written), indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def _rebuilt(value: Any, made: Callable[..., _T], *gone: str, **changed: Any) -> _T:
+    """Make another record of all fields of a value, but for what is gone or changed."""
+    kept = {item.name: getattr(value, item.name) for item in fields(type(value))}
+    return made(**{name: part for name, part in kept.items() if name not in gone} | changed)
 
 
 def _key(known: dict[str, _T], name: str, value: _T) -> str:
@@ -429,16 +433,16 @@ def read_lock(path: Path) -> Lock:
 
 def _read(written: _WrittenLock) -> Lock:
     functions = {
-        name: LockedFunction(
-            tuple(written.parts[key] for key in function.parts),
-            tuple(written.edges[key] for key in function.edges),
-            function.passed_over,
-            function.refused,
-            tuple(written.parts[key] for key in function.others),
+        name: _rebuilt(
+            function,
+            LockedFunction,
+            parts=tuple(written.parts[key] for key in function.parts),
+            edges=tuple(written.edges[key] for key in function.edges),
+            others=tuple(written.parts[key] for key in function.others),
         )
         for name, function in written.functions.items()
     }
-    return Lock(functions, written.structures, written.version, written.bridges, written.offers)
+    return _rebuilt(written, Lock, "parts", "edges", functions=functions)
 
 
 def read_json(path: Path, expected: str = "JSON") -> Any:
