@@ -67,6 +67,21 @@ functions:
 Small = Annotated[int, Range(0, 255)]
 
 
+def many_functions(count: int) -> str:
+    """Return the configuration of a robot whose functions f0, f1 and so on echo."""
+    parts = "".join(
+        f"""
+  f{number}:
+    components:
+      - name: c{number}
+        bridge: python
+        input: {{endpoint: ["tests.server.robot:echo"]}}
+        output: {{endpoint: ["tests.server.robot:echo"]}}"""
+        for number in range(count)
+    )
+    return f"version: 1\nbridges: {{python: {{}}}}\nfunctions:{parts}\n"
+
+
 class Number(TypedDict):
     value: int
 

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from urllib.request import urlopen
 
 import pytest
+from tests.server.robot import many_functions
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
@@ -24,23 +25,9 @@ CPU_SECONDS = 0.05
 """Of the loop, in one step: a fourth of what one status of this robot took, of each client."""
 
 
-def configuration(count: int) -> str:
-    parts = "".join(
-        f"""
-  f{number}:
-    components:
-      - name: c{number}
-        bridge: python
-        input: {{endpoint: ["tests.server.robot:echo"]}}
-        output: {{endpoint: ["tests.server.robot:echo"]}}"""
-        for number in range(count)
-    )
-    return f"version: 1\nbridges: {{python: {{}}}}\nfunctions:{parts}\n"
-
-
 @pytest.fixture(scope="module")
 def large() -> Iterator[RobotManager]:
-    with _short_collections(), RobotManager(loads(configuration(FUNCTIONS), "large")) as robot:
+    with _short_collections(), RobotManager(loads(many_functions(FUNCTIONS), "large")) as robot:
         robot.listen(lambda event: None)  # the thread of its listeners is not of one test
         for number in range(FUNCTIONS):
             robot.request(f"f{number}")

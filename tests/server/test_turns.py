@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from tests.server.conftest import Connect
+from tests.server.robot import many_functions
 from tests.server.serving import servers
 from tests.server.talk import Talk, eventually
 
@@ -191,21 +192,6 @@ def test_what_could_not_be_ended_for_want_of_a_thread_is_ended_later(
     assert refused.is_set()
 
 
-def robot_of(count: int) -> RobotManager:
-    """Return a robot with many functions."""
-    parts = "".join(
-        f"""
-  f{number}:
-    components:
-      - name: c{number}
-        bridge: python
-        input: {{endpoint: ["tests.server.robot:echo"]}}
-        output: {{endpoint: ["tests.server.robot:echo"]}}"""
-        for number in range(count)
-    )
-    return RobotManager(loads(f"version: 1\nbridges: {{python: {{}}}}\nfunctions:{parts}\n"))
-
-
 def test_of_a_client_that_leaves_few_connections_are_ended_in_one_step_of_the_loop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -223,7 +209,7 @@ def test_of_a_client_that_leaves_few_connections_are_ended_in_one_step_of_the_lo
         return kill(*arguments)
 
     monkeypatch.setitem(sys.modules, "uvloop", None)  # its loop reports no steps
-    with robot_of(MANY) as large, servers(large) as serve:
+    with RobotManager(loads(many_functions(MANY))) as large, servers(large) as serve:
         client = Talk(f"ws://127.0.0.1:{serve().ports[0]}/")
         for number in range(MANY):
             client.ask("Request", f"f{number}")
