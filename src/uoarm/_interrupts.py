@@ -10,6 +10,7 @@ would be lost, and it could not be known which half.
 from __future__ import annotations
 
 import _signal  # type: ignore[import-not-found]  # what `signal` wraps, at fifteen times the cost
+import ctypes
 import signal
 import threading
 import time
@@ -19,6 +20,21 @@ from typing import Any
 _STEP_SECONDS = 1.0
 _NUMBERS = int(signal.SIGINT), int(signal.SIGTERM)
 _NOTHING: tuple[int, FrameType | None] = 0, None
+_ACTION_OCTETS = 256  # more than a `struct sigaction` has anywhere
+
+
+def _find_sigaction() -> Any:
+    """Return the system's function; None: it has none, as Windows.
+
+    It keeps the interpreter's lock: a thread that changed the same in between would be undone.
+    """
+    try:
+        return ctypes.PyDLL(None).sigaction
+    except (AttributeError, OSError, TypeError):
+        return None
+
+
+_sigaction = _find_sigaction()
 
 
 class _ThreadState(threading.local):
@@ -52,7 +68,7 @@ class Uninterrupted:
         self._handlers, self._came, self._is_inside = handlers, _NOTHING, True
         try:
             for number in handlers:
-                _signal.signal(number, self._note)
+                _set_handler(number, self._note)
         except BaseException:  # what came before this, which Python raises here
             self._put_back(handlers)
             raise
@@ -87,7 +103,23 @@ class Uninterrupted:
         _here.is_put_off = self._is_inside = False
         for number, handler in handlers.items():
             if _signal.getsignal(number) == self._note:
-                _signal.signal(number, handler)
+                _set_handler(number, handler)
+
+
+def _set_handler(number: int, handler: Any) -> None:
+    """Set what Python calls, and leave what the system calls before that.
+
+    A library may have set that without Python's knowledge, and call Python's handler from there, as
+    rclpy does, whose own waits else no signal would end any more. Python sets both.
+    """
+    below = (ctypes.c_char * _ACTION_OCTETS)()
+    if _sigaction is not None:
+        _sigaction(number, None, below)
+    try:
+        _signal.signal(number, handler)
+    finally:
+        if _sigaction is not None:
+            _sigaction(number, below, None)
 
 
 def wait_step(left: float | None = None) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import os
 import signal
@@ -351,6 +352,26 @@ def test_the_handlers_of_an_application_are_called_at_the_end_and_stay(
     assert signal.getsignal(number) is signal.SIG_IGN, "set meanwhile, by other code"
     with Uninterrupted():
         assert signal.getsignal(number) is signal.SIG_IGN
+
+
+def test_what_a_library_set_below_python_stays(called: list[int], number: signal.Signals) -> None:
+    """As rclpy does; here a function of the system that does nothing takes its place."""
+    signal.signal(number, signal.getsignal(signal.SIGINT))
+    system = ctypes.CDLL(None)
+    system.signal.restype = ctypes.c_void_p
+    system.signal.argtypes = ctypes.c_int, ctypes.c_void_p
+    nothing = ctypes.cast(system.abs, ctypes.c_void_p)
+    of_python = system.signal(number, nothing)
+    with Uninterrupted():
+        assert system.signal(number, nothing) == nothing.value
+        system.signal(number, of_python)  # as where a library takes its own away meanwhile
+        signal.raise_signal(number)
+        assert not called
+    assert called == [number]
+    assert system.signal(number, nothing) == of_python
+    with Uninterrupted():
+        pass
+    assert system.signal(number, of_python) == nothing.value
 
 
 @pytest.mark.parametrize("at", range(1, 5))

@@ -82,6 +82,50 @@ def test_an_application_keeps_its_own_rclpy(tmp_path: Path) -> None:
     assert (done.stdout.strip(), done.returncode) == ("[1, 2]", 0), done.stderr
 
 
+SPUN = """
+import os, signal, sys, threading, time
+import rclpy
+from uoarm import RobotManager
+from uoarm.config import loads
+
+rclpy.init(args=[])
+node = rclpy.create_node("application")
+main = threading.get_ident()
+
+def interrupt():
+    while sys._current_frames()[main].f_code.co_filename != rclpy.executors.__file__:
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGINT)
+
+with RobotManager(loads(sys.argv[1])) as manager:
+    manager.request("show").kill()
+    threading.Thread(target=interrupt).start()
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+        print("ended")
+"""
+SPUN_CONFIGURATION = """
+version: 1
+bridges: {ros: {plugin: ros2}}
+functions:
+  show:
+    components:
+      - name: screen
+        bridge: ros
+        input:
+          endpoint: [/shown, std_msgs/msg/Int64]
+          options: {peer: optional, wait: 0}
+"""
+
+
+def test_a_signal_ends_what_an_application_spins_after_a_request(tmp_path: Path) -> None:
+    script = tmp_path / "application.py"
+    script.write_text(SPUN)
+    done = run_python(script, SPUN_CONFIGURATION)
+    assert (done.stdout, done.stderr, done.returncode) == ("ended\n", "", 0)
+
+
 LEFT_OPEN = """
 import sys, threading
 from std_msgs.msg import Int64
@@ -174,19 +218,18 @@ def test_a_last_message_can_be_sent_after_an_interrupt(
     listener.do("subscribe", topic="/stop")
     script = tmp_path / "interrupted.py"
     script.write_text(INTERRUPTED)
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, str(script), how],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-    )
-    try:
-        seen = listener.do("report", topic="/stop", expected=1)["seen"]
-        said = process.communicate("", timeout=patience())
-    finally:
-        process.kill()
-        process.wait()
+    ) as process:
+        try:
+            seen = listener.do("report", topic="/stop", expected=1)["seen"]
+            said = process.communicate("", timeout=patience())
+        finally:
+            process.kill()
     assert (seen, *said, process.returncode) == ([0], "sent\n", "", 0)
 
 
