@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 import time
 from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
@@ -101,6 +102,27 @@ def _at_once(
         return method(self._threaded, *args, **kwargs)
 
     return proxy
+
+
+async def _beside(action: Callable[[], Result]) -> Result:
+    """Run what must wait for no other call, nor for what the application does in threads.
+
+    Where the system gives no thread it runs in the loop: late is better than not at all.
+    """
+    future: Future[Result] = Future()
+
+    def run() -> None:
+        future.set_running_or_notify_cancel()
+        try:
+            future.set_result(action())
+        except BaseException as error:  # noqa: BLE001 - given to who awaits it
+            future.set_exception(error)
+
+    try:
+        threading.Thread(target=run, name="uoarm-async-stop", daemon=True).start()
+    except RuntimeError:
+        run()
+    return await asyncio.wrap_future(future)
 
 
 @final
@@ -414,12 +436,11 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
 
     async def stop_all(self, *, timeout: float = 2.0) -> StopReport:
         """Stop every input that moves something, as `RobotManager.stop_all` does."""
-        # Not among other calls, for which it might have to wait.
-        return await asyncio.to_thread(partial(self.robot.stop_all, timeout=timeout))
+        return await _beside(partial(self.robot.stop_all, timeout=timeout))
 
     async def release(self, *, timeout: float = 2.0) -> None:
         """Let commands through again; raises as `RobotManager.release`."""
-        await asyncio.to_thread(partial(self.robot.release, timeout=timeout))
+        await _beside(partial(self.robot.release, timeout=timeout))
 
     @property
     def is_stopped(self) -> bool:

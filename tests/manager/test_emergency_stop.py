@@ -6,6 +6,7 @@ import asyncio
 import re
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -188,6 +189,37 @@ def test_the_twin_for_event_loops_stops_and_releases(robot: RobotManager, motors
 
     asyncio.run(run())
     assert motors.taken == {"left": [0]}
+
+
+async def test_a_stop_waits_for_no_thread_of_the_application(
+    robot: RobotManager, motors: Motors
+) -> None:
+    asynchronous, gate = AsyncRobotManager(robot), threading.Event()
+    await asynchronous.request("left")
+    with ThreadPoolExecutor(1) as executor:
+        asyncio.get_running_loop().set_default_executor(executor)
+        working = asyncio.ensure_future(asyncio.to_thread(gate.wait, patience()))
+        report = await asyncio.wait_for(asynchronous.stop_all(timeout=patience()), patience())
+        gate.set()
+        await working
+    assert report.stopped
+    await asynchronous.release()
+    assert motors.taken == {"left": [0]}
+
+
+async def test_the_twin_for_event_loops_stops_where_the_system_gives_no_thread(
+    robot: RobotManager, motors: Motors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    asynchronous = AsyncRobotManager(robot)
+    connection = await asynchronous.request("left")
+    await connection.send(5)
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refuse)
+        assert (await asynchronous.stop_all(timeout=patience())).stopped
+    assert motors.taken == {"left": [5, 0]}
 
 
 class TestStopFile:

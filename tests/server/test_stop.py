@@ -160,6 +160,21 @@ def test_a_stop_waits_for_no_call_that_hangs_and_no_limit(guarded: Server, base:
         assert base.taken.messages == [0]
 
 
+def test_where_the_system_gives_no_thread_all_is_stopped_and_released(
+    guarded: Server, base: Taker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with enter(guarded, "driver") as driver, enter(guarded, "keeper") as keeper:
+        driver.ask("Data", driver.open("drive"), 7)
+        with monkeypatch.context() as patch:
+            patch.setattr(threading.Thread, "start", refuse)
+            assert driver.ask("Stop")["stopped"]
+            assert base.taken.messages == [7, 0]
+            keeper.ask("Stop", message={"release": True})
+
+
 def test_a_stop_after_a_release_stops_again_though_the_one_before_it_lasts(
     guarded: Server, base: Taker, arm: Taker
 ) -> None:

@@ -152,7 +152,7 @@ async def test_those_that_a_client_moved_are_stopped_by_a_few_threads(
     workers.close()
 
 
-@pytest.mark.parametrize("kind", [Workers.open, Workers.free, Workers.start, Workers.stop])
+@pytest.mark.parametrize("kind", [Workers.open, Workers.free, Workers.start])
 async def test_where_the_system_gives_no_threads_each_is_refused_and_the_next_is_done(
     kind: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -412,9 +412,20 @@ class Workers:
     def stop(self, action: Callable[[], T]) -> asyncio.Future[T]:
         """Run what stops the robot, or lets it go on: at once, whatever the other threads wait for.
 
-        Never refused; the caller bounds how many there are.
+        Never refused; the caller bounds how many there are. Where the system gives no thread it
+        runs in the loop: late is better than not at all.
         """
-        return self._submit(self._stopping, action)
+        try:
+            return self._submit(self._stopping, action)
+        except BusyError:
+            future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
+            try:
+                result = action()
+            except Exception as error:  # noqa: BLE001 - given to who asked for it
+                future.set_exception(error)
+            else:
+                future.set_result(result)
+            return future
 
     def leave(self, action: Callable[[], object]) -> None:
         """Run what stops something that a client moved which has gone. From any thread.
