@@ -137,6 +137,7 @@ class Outcome:
     tier: Tier
     counts: Counter[str]
     seconds: float
+    processor_seconds: float
     failed: bool
     reasons: Counter[str]
 
@@ -148,11 +149,11 @@ def run(tier: Tier) -> Outcome:
     if reasons:
         print(*reasons, sep="\n", flush=True)
         must = os.environ.get("CI") and all(NEEDS[name].exists for name in tier.needs)
-        return Outcome(tier, Counter(), 0.0, bool(must), reasons)
+        return Outcome(tier, Counter(), 0.0, 0.0, bool(must), reasons)
     report = REPORTS / f"{tier.name}.xml"
     report.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml", "--rootdir=."]
-    begin = time.monotonic()
+    begin, spent = time.monotonic(), _processor_seconds()
     done = subprocess.run(
         [*command, f"-n={tier.workers}", f"--junitxml={report}", *tier.arguments],
         cwd=ROOT,
@@ -161,7 +162,14 @@ def run(tier: Tier) -> Outcome:
     )
     counts, reasons = read(report)
     failed = done.returncode not in {0, NO_TESTS}
-    return Outcome(tier, counts, time.monotonic() - begin, failed, reasons)
+    seconds, spent = time.monotonic() - begin, _processor_seconds() - spent
+    return Outcome(tier, counts, seconds, spent, failed, reasons)
+
+
+def _processor_seconds() -> float:
+    """Return what all processes that have ended below this one have used."""
+    used = os.times()
+    return used.children_user + used.children_system
 
 
 def read(report: Path) -> tuple[Counter[str], Counter[str]]:
@@ -183,12 +191,12 @@ def read(report: Path) -> tuple[Counter[str], Counter[str]]:
 
 def table(outcomes: Sequence[Outcome]) -> Iterator[str]:
     """The lines of the closing table."""
-    yield f"{'tier':<10}{'':<10}{'passed':>8}{'failed':>8}{'skipped':>8}{'seconds':>9}"
+    yield f"{'tier':<10}{'':<10}{'passed':>8}{'failed':>8}{'skipped':>8}{'seconds':>9}{'of CPU':>8}"
     for outcome in outcomes:
         ran = sum(outcome.counts.values())
         said = "FAILED" if outcome.failed else "ok" if ran else "not run"
         numbers = "".join(f"{outcome.counts[name]:>8}" for name in ("passed", "failed", "skipped"))
-        seconds = f"{outcome.seconds:>9.0f}"
+        seconds = f"{outcome.seconds:>9.0f}{outcome.processor_seconds:>8.0f}"
         yield f"{outcome.tier.name:<10}{said:<10}{numbers}{seconds}  {outcome.tier.what}"
     for outcome in outcomes:
         for reason, count in sorted(outcome.reasons.items()):
