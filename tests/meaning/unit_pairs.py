@@ -91,6 +91,16 @@ N kg.m/s2 1
 N.m N.cm 100
 N.m mN.m 1000
 Nm mNm 1000
+kNm N.m 1000
+Nm.s/rad mN.m.s/rad 1000
+Nm/A kg.m2/(s2.A) 1
+rads/s mrad/s 1000
+fps Hz 1
+kG T 0.1
+uG nT 0.1
+Ohm uOhm 1000000
+TBy GBy 1000
+m[H2O] kPa 9.80665
 kN.m N.m 1000
 kPa Pa 1000
 hPa Pa 100

@@ -73,18 +73,19 @@ _IN_PINT: Mapping[str, str] = {
     "[nmi_i]": "nautical_mile", "[kn_i]": "knot", "[lb_av]": "pound", "[oz_av]": "ounce",
     "[lbf_av]": "pound_force", "[psi]": "psi", "[g]": "standard_gravity", "[gal_us]": "gallon",
     "[HP]": "horsepower", "[Btu_IT]": "Btu_it", "[ppm]": "ppm", "[ppth]": "permille",
-    "[c]": "speed_of_light", "m[Hg]": "meter_Hg", "mm[Hg]": "mmHg", "[in_i'Hg]": "inch_Hg",
-    "cm[H2O]": "cmH2O", "%": "percent", "Ohm": "ohm",
-    "mOhm": "milliohm", "kOhm": "kiloohm", "MOhm": "megaohm", "mho": "siemens", "By": "byte",
-    "kBy": "kilobyte", "MBy": "megabyte", "GBy": "gigabyte", "b": "barn", "st": "stere",
-    "t": "metric_ton", "u": "unified_atomic_mass_unit", "P": "poise", "sb": "stilb", "a": "year",
-    "mo": "month", "wk": "week", "d": "day", "ar": "are", "amp": "ampere", "amps": "ampere",
-    "gal": "gallon", "Torr": "torr", "mcd": "millicandela", "G": "si_gauss", "mG": "millisi_gauss",
-    "gauss": "si_gauss", "milligauss": "millisi_gauss",
+    "[c]": "speed_of_light", "[in_i'Hg]": "inch_Hg", "%": "percent", "mho": "siemens", "b": "barn",
+    "st": "stere", "t": "metric_ton", "u": "unified_atomic_mass_unit", "P": "poise", "sb": "stilb",
+    "a": "year", "mo": "month", "wk": "week", "d": "day", "ar": "are", "amp": "ampere",
+    "amps": "ampere", "gal": "gallon", "Torr": "torr", "mcd": "millicandela",
+}  # fmt: skip
+# Those that have prefixes. Pint's own Nm is of yarns, its rads of radiation.
+_PREFIXED: Mapping[str, str] = {
+    "m[Hg]": "meter_Hg", "m[H2O]": "meter_H2O", "Ohm": "ohm", "By": "byte", "G": "si_gauss",
+    "gauss": "si_gauss", "Nm": "newton_meter", "rads": "radian",
 }  # fmt: skip
 _EXPRESSIONS: Mapping[str, str] = {
-    "rpm": "{rev}/min", "{rpm}": "{rev}/min", "Nm": "N.m", "mNm": "mN.m", "kmh": "km/h",
-    "Ah": "A.h", "mAh": "mA.h", "Wh": "W.h", "kWh": "kW.h", "bpm": "{beats}/min", "mps": "m/s",
+    "rpm": "{rev}/min", "{rpm}": "{rev}/min", "kmh": "km/h", "Ah": "A.h", "mAh": "mA.h",
+    "Wh": "W.h", "kWh": "kW.h", "bpm": "{beats}/min", "fps": "{frames}/s", "mps": "m/s",
 }  # fmt: skip
 # What a misspelt unit may be meant to be, also where pint is not installed: its names and symbols
 # without prefixes, those that people use and those that are near to them.
@@ -173,6 +174,7 @@ def _registry() -> Any:
     registry: Any = pint.UnitRegistry(non_int_type=Fraction)
     # Pint's own has the dimensions of Gaussian units, and fits no tesla.
     registry.define("si_gauss = 1e-4 * tesla")
+    registry.define("newton_meter = newton * meter")
     return registry
 
 
@@ -185,7 +187,7 @@ def _require_no_misspelling(text: str) -> None:
 
 def _near(name: str) -> str:
     """Return which unit a name may be meant to be; nothing where it is known, or near to none."""
-    known = _NAMES | _IN_PINT.keys() | _EXPRESSIONS.keys()
+    known = _NAMES | _IN_PINT.keys() | _PREFIXED.keys() | _EXPRESSIONS.keys()
     if "_" in name or len(name) < _SHORTEST or _is_in(name, known):
         return ""
     words = sorted(text for text in known if len(text) >= _SHORTEST - 1)
@@ -238,11 +240,20 @@ def _unit(text: str) -> _Unit:
     return _Unit(kept, factor, offset)
 
 
+def _in_pint(name: str) -> str:
+    """Return pint's name for a unit, which may have a prefix."""
+    for unit, known in _PREFIXED.items():
+        prefix = name.removesuffix(unit)
+        if prefix != name and (not prefix or prefix in _PREFIXES):
+            return f"{prefix}{known}"
+    return _IN_PINT.get(name, name)
+
+
 @lru_cache(maxsize=1_000)
 def _atom(name: str, text: str) -> _Unit:
     registry = _registry()
     try:
-        known = registry.get_name(_IN_PINT.get(name, name))
+        known = registry.get_name(_in_pint(name))
         zero, unity, two = (
             registry.Quantity(Fraction(number), known).to_root_units() for number in range(3)
         )
