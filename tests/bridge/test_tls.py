@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 import ssl
 from contextlib import suppress
+from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import (
     BestAvailableEncryption,
     Encoding,
@@ -16,8 +18,9 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
     load_pem_private_key,
 )
+from cryptography.x509 import BasicConstraints
 
-from uoarm._support.certificates import new_key
+from uoarm._support.certificates import begun, common_name, new_key, secret_pem
 from uoarm._support.tls import client_context, server_context
 from uoarm.bridge import TlsOptions, tls_fault
 from uoarm.errors import ConfigurationError
@@ -53,6 +56,31 @@ def test_a_server_gives_no_ticket_that_meets_what_a_client_writes(certificate: P
             end.do_handshake()
     assert server.version() == "TLSv1.3"
     assert out.pending == 0, "something comes after the handshake"
+
+
+@pytest.mark.parametrize("trusted", ["authority", "server"])
+def test_a_certificate_by_the_manual_of_a_broker_is_trusted(tmp_path: Path, trusted: str) -> None:
+    """The authority does not say what its key is for, and the server's has no extension at all."""
+    now = datetime.now(timezone.utc)
+    key, server_key = new_key(), new_key()
+    issuer, span = common_name("authority"), timedelta(days=1)
+    made = begun("authority", issuer, key.public_key(), now - span, now + span)
+    authority = made.add_extension(BasicConstraints(ca=True, path_length=None), critical=True)
+    server = begun("localhost", issuer, server_key.public_key(), now - span, now + span)
+    for name, certificate in (("authority", authority), ("server", server)):
+        octets = certificate.sign(key, SHA256()).public_bytes(Encoding.PEM)
+        (tmp_path / f"{name}.pem").write_bytes(octets)
+    (tmp_path / "server.key").write_bytes(secret_pem(server_key))
+    shown = server_context(tmp_path / "server.pem", tmp_path / "server.key")
+    into, out = ssl.MemoryBIO(), ssl.MemoryBIO()
+    served = shown.wrap_bio(into, out, server_side=True)
+    client = client_context(tmp_path / f"{trusted}.pem").wrap_bio(
+        out, into, server_hostname="localhost"
+    )
+    for end in (client, served, client, served):
+        with suppress(ssl.SSLWantReadError):
+            end.do_handshake()
+    assert client.version() == served.version() == "TLSv1.3"
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path, certificate: Path) -> None:
