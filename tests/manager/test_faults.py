@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager, UoarmError
+from uoarm._parts import LiveEdge
 from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.errors import BridgeTimeoutError, ResolutionError
@@ -162,3 +164,40 @@ def test_a_callback_that_raises_is_counted_and_does_not_end_the_flow(scene: Scen
             if route_status.consumer.startswith("c")
         ]
         assert dict(route.dropped) == {"failed": 2}
+
+
+TWO = f"""{ROBOT.rstrip()}
+      - {{name: other, bridge: left, input: {{from: camera, endpoint: [other]}},
+         output: {{endpoint: [other]}}}}
+"""
+
+
+def test_what_opens_just_as_it_is_given_up_for_another_plan_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    left, right, gate = MemoryBridge("left"), MemoryBridge("right"), threading.Event()
+    left.emitter("camera", NUMBER)
+    left.loop("other", NUMBER)
+    right.loop("filter", NUMBER)
+    renew_check = LiveEdge.renew_check
+
+    def hang(edge: LiveEdge) -> None:
+        if edge.consumer.component.name == "filter":
+            gate.wait(patience())
+        renew_check(edge)
+
+    monkeypatch.setattr(LiveEdge, "renew_check", hang)
+    limit = 0.5
+    with RobotManager(loads(TWO), bridges={"left": left, "right": right}) as robot:
+        while True:
+            try:
+                connection = robot.request("filter", timeout=limit)
+            except BridgeTimeoutError:  # all of the time was over before the other was open
+                assert limit < patience()
+                limit *= 2
+            else:
+                break
+        assert connection.plan.names[-1] == "other"
+        gate.set()
+        edges = robot._driver.live.edges
+        wait(lambda: [edge.consumer.component.name for edge in edges.values()] == ["other"])

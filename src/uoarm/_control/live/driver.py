@@ -25,13 +25,12 @@ from uoarm._bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
 from uoarm._control.engine.events import write_event
-from uoarm._control.engine.placement import Part
 from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.engine.step import step
 from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDelivery, record_takeover
 from uoarm._control.live.listeners import EventDispatcher
 from uoarm._control.live.offers import Offers
-from uoarm._control.live.parts import LiveParts
+from uoarm._control.live.parts import LiveParts, OpenedParts
 from uoarm._control.live.revisions import Revisions, StagedRevision
 from uoarm._dataplane import Clock
 from uoarm._encodable import shown
@@ -520,7 +519,7 @@ class Driver:
 
     def _open(self, action: act.Open, state: State) -> ev.Event:
         """Open a batch; a first plan has the time limit of its request."""
-        done: list[Part] = []
+        done = OpenedParts()
         open_parts = partial(self.live.open, action, state, done, self._cancelled)
         record, left = state.connections.get(action.connection), deadlines.left(math.inf)
         try:
@@ -537,8 +536,8 @@ class Driver:
                     open_parts()
         except BaseException as error:  # noqa: BLE001 - the state learns of it whatever it is
             self._cancelled.add(action.batch)  # a thread that hangs in it opens nothing more
-            return ev.Opened(action.batch, tuple(done), error)
-        return ev.Opened(action.batch, tuple(done))
+            return ev.Opened(action.batch, done.end(), error)
+        return ev.Opened(action.batch, done.end())
 
     def _is_dispensable(self, plan: Plan, record: ConnectionRecord) -> bool:
         """Whether another plan may do for a request."""

@@ -89,19 +89,47 @@ class Ending:
         ]
 
 
-class _LeavingComponents:
-    """Components from when they are in no other list to when they are closed. For any thread.
+class OpenedParts:
+    """The parts of a batch that are open. For the thread that opens and the one that waits for it.
 
-    A replaced bridge is in use so long, and no other instance of a name opens beside them.
+    Each part is either among those that count as open, or taken out by the thread that opened it.
     """
 
     def __init__(self) -> None:
-        # Guards changes of both: the owner of the state adds, lanes take out. Who looks needs no
+        # Guards the list and whether it was read: a part may open just as its batch is given up.
+        self._lock = threading.Lock()
+        self._parts: list[Part] = []
+        self._is_over = False
+
+    def add(self, part: Part) -> bool:
+        """Note a part that is open, and in its table; False where it comes too late."""
+        with self._lock:
+            if not self._is_over:
+                self._parts.append(part)
+            return not self._is_over
+
+    def end(self) -> tuple[Part, ...]:
+        """Return the parts that are open; those that open later do not count."""
+        with self._lock:
+            self._is_over = True
+            return tuple(self._parts)
+
+
+class _LeavingComponents:
+    """Components from when they are in no other list to when they are closed. For any thread.
+
+    A replaced bridge is in use so long, and no other instance of a name opens beside them. Those of
+    which a thread has not come back are known still, so that their number can be bounded.
+    """
+
+    def __init__(self) -> None:
+        # Guards changes of all: the owner of the state adds, lanes take out. Who looks needs no
         # lock, as a name's instances are replaced as a whole. They are found by name: thousands may
         # leave at once while as many open, and each of those looks (`test_growth.py`).
         self._lock = threading.Lock()
         self._by_name: dict[str, tuple[LiveComponent, ...]] = {}
         self._opening: tuple[LiveComponent, ...] = ()
+        self._hanging: dict[str, list[LiveComponent]] = {}
 
     def add(self, lives: Iterable[LiveComponent]) -> None:
         """List components that are to be closed."""
@@ -124,13 +152,25 @@ class _LeavingComponents:
             # What another thread opens still closes as that comes out, and is looked at again here.
             looked_at, self._opening = (*closed, *self._opening), ()
             for live in looked_at:
-                if live.is_over or live.is_hanging:
-                    name = live.component.name
+                name, is_hanging = live.component.name, live.is_hanging
+                if is_hanging:
+                    self._hanging.setdefault(name, []).append(live)
+                if is_hanging or live.is_over:
                     left = tuple(item for item in self._by_name.pop(name, ()) if item is not live)
                     if left:
                         self._by_name[name] = left
                 else:
                     self._opening = (*self._opening, live)
+
+    def hanging(self, name: str) -> int:
+        """Return how many instances of a name were let go of, and hang still."""
+        if name not in self._hanging:
+            return 0
+        with self._lock:
+            hanging = [live for live in self._hanging.pop(name, ()) if live.is_hanging]
+            if hanging:
+                self._hanging[name] = hanging
+            return len(hanging)
 
 
 class LiveParts:
@@ -166,8 +206,6 @@ class LiveParts:
         self.ports: dict[int, ApplicationPorts] = {}
         self._draining: dict[str, Ending] = {}
         self._leaving = _LeavingComponents()
-        # Those of which a thread has not come back, so that their number can be bounded.
-        self._hanging: dict[str, list[LiveComponent]] = {}
 
     def shared(self) -> tuple[LiveComponent, ...]:
         """Return the components that are in use and well enough to be shared."""
@@ -269,7 +307,7 @@ class LiveParts:
             and all(bridge.is_quick(port.endpoint) for port in component.ports)
         )
 
-    def open(self, action: act.Open, state: State, done: list[Part], cancelled: set[int]) -> None:
+    def open(self, action: act.Open, state: State, done: OpenedParts, cancelled: set[int]) -> None:
         """Open parts in their order.
 
         Args:
@@ -303,11 +341,25 @@ class LiveParts:
                         self._connect(state.edges[part.id])
                     case Kind.SEND:
                         self._send(action)
-                # After it is open and in its table: `Opened` says no more than is there, also
-                # where another thread reads the list as this one is given up.
-                done.append(part)
+                # After it is open and in its table: `Opened` says no more than is there.
+                if not done.add(part):
+                    self._take_back(part)
+                    raise ConnectionClosedError(f"{action.connection} was given up")
         except KeyError as error:  # what it needs was taken out meanwhile
             raise ConnectionClosedError(f"{action.connection} was given up") from error
+
+    def _take_back(self, part: Part) -> None:
+        """Close a part that opened as its batch was given up; what it needs is closed by now."""
+        closed: LiveComponent | LiveEdge | ApplicationPorts | None = None
+        match part.kind:
+            case Kind.COMPONENT:
+                closed = self.components.pop(part.id, None)
+            case Kind.EDGE:
+                closed = self.edges.pop(part.id, None)
+            case Kind.RECEIVE | Kind.SEND:
+                closed = self.ports.pop(part.id, None)
+        if closed is not None:  # else it was in its table before, and was taken out with the others
+            closed.close()
 
     def close(self, ending: Ending, *, ends: bool) -> None:
         """Close what has no user, and account for it.
@@ -492,20 +544,14 @@ class LiveParts:
             joined.close()
         for live in ending.components:
             live.close()
-            if live.is_hanging:
-                self._hanging.setdefault(live.component.name, []).append(live)
         self._leaving.settle(ending.components)
         self._bridges.retire_replaced(self.uses)
 
     def _refuse_hanging(self, name: str) -> None:
-        if not self._hanging:
-            return
-        hanging = [live for live in self._hanging.pop(name, ()) if live.is_hanging]
-        if hanging:
-            self._hanging[name] = hanging
-        if len(hanging) >= _HANGING:
+        hanging = self._leaving.hanging(name)
+        if hanging >= _HANGING:
             raise BridgeError(
-                f"component {name!r} hangs: it has not let go of {len(hanging)} earlier "
+                f"component {name!r} hangs: it has not let go of {hanging} earlier "
                 "connections; it can be opened again when it does",
                 FailureReason.UNAVAILABLE,
             )
