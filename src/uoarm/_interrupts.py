@@ -14,6 +14,7 @@ import ctypes
 import signal
 import threading
 import time
+from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
@@ -140,4 +141,18 @@ def wait_for(event: threading.Event, timeout: float | None = None) -> bool:
     while not event.wait(wait_step(None if end is None else end - time.monotonic())):
         if end is not None and time.monotonic() >= end:
             return False
+    return True
+
+
+def wait_until(
+    changed: threading.Condition, ready: Callable[[], bool], timeout: float | None = None
+) -> bool:
+    """Wait in such steps for a condition, which is held; False where `timeout` was too short."""
+    end = None if timeout is None else time.monotonic() + timeout
+    # In a loop: all who wait are woken for anything, and another may have been faster.
+    while not ready():
+        left = None if end is None else end - time.monotonic()
+        if left is not None and left <= 0:
+            return False
+        changed.wait(wait_step(left))
     return True

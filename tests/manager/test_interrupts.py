@@ -22,7 +22,7 @@ from tests.manager.stage import FACE
 from uoarm import BridgeError, BridgeTimeoutError, RobotManager, _interrupts
 from uoarm._interrupts import Uninterrupted, wait_step
 from uoarm._support import deadlines
-from uoarm.bridge import HealthEvent, Source
+from uoarm.bridge import Discovered, HealthEvent, Source
 from uoarm.config import loads
 from uoarm.errors import FailureReason
 from uoarm.model import Deliver, Endpoint, Health, MessageStructure, OfferState
@@ -463,6 +463,52 @@ def test_a_signal_that_does_not_end_a_wait_is_noticed_all_the_same(
             assert unseen.was_noticed, wait_there
         assert not recording.wait(0)
     assert recording.wait()
+
+
+class Blind(MemoryBridge):
+    """Does not say what it sees."""
+
+    def __init__(self, name: str, gate: threading.Event) -> None:
+        super().__init__(name, {})
+        self._gate = gate
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        self._gate.wait(patience())
+        return ()
+
+
+NEEDING = """
+version: 1
+bridges: {one: {plugin: memory}}
+functions: {eye: {needs: {structure: {type: integer}}}}
+"""
+
+
+def test_a_wait_for_what_bridges_see_is_left(number: signal.Signals) -> None:
+    gate = threading.Event()
+    given = {"one": Blind("one", gate)}
+    with RobotManager(loads(NEEDING), bridges=given) as robot:
+        for wait_there in (
+            partial(robot.request, "eye", timeout=10 * patience()),
+            partial(robot.discover, timeout=10 * patience()),
+        ):
+            unseen = Unseen(number)
+            unseen.during(wait_there)
+            assert unseen.was_noticed, wait_there
+        gate.set()
+
+
+def test_a_wait_for_offers_is_left(number: signal.Signals) -> None:
+    gate = threading.Event()
+    one, two = Quick("one"), Quick("two")
+    one.emitter("eye", {"type": "integer"})
+    two.taker("seen", {"type": "integer"})
+    one.before = partial(gate.wait, patience())
+    with RobotManager(loads(OFFERING), bridges={"one": one, "two": two}) as robot:
+        unseen = Unseen(number)
+        unseen.during(partial(robot.offer, timeout=10 * patience()))
+        assert unseen.was_noticed
+        gate.set()
 
 
 def test_a_thread_waits_in_one_piece_and_the_main_thread_in_steps() -> None:

@@ -11,6 +11,7 @@ from functools import partial
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
 from uoarm._dataplane import Clock
+from uoarm._interrupts import wait_until
 from uoarm._raised import LimitedLog
 from uoarm._resolve import (
     Discovery,
@@ -100,7 +101,7 @@ class CandidateWatch:
             may_wait = function is None or self._is_known() or revision.has_needs(function)
             if not may_wait:
                 return timeout
-            if not self._changed.wait_for(self._is_known, timeout):
+            if not wait_until(self._changed, self._is_known, timeout):
                 said = "bridges have not yet listed what components they see"
                 text = f"{said}, after {timeout:g} s: {self._step}"
                 raise BridgeTimeoutError(text)

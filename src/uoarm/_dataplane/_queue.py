@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from queue import Empty
 from typing import Any, Generic, TypeVar
 
-from uoarm._interrupts import wait_step
+from uoarm._interrupts import wait_until
 from uoarm._raised import LimitedLog, contained, text_of
 from uoarm.errors import UsageError
 from uoarm.model import Deliver, Message, OverflowPolicy, QueuePolicy, message_octets
@@ -178,18 +177,11 @@ class BoundedQueue(Generic[T]):
                 self._on_drop("queue-full" if full else "queue-octets")
 
     def _wait_for(self, ready: Callable[[], bool], timeout: float | None) -> bool:
-        deadline = None if timeout is None else time.monotonic() + timeout
         if self._changed is None:
             self._changed = threading.Condition(self._lock)
         self._waiting += 1
         try:
-            # In a loop: all who wait are woken for anything, and another may have been faster.
-            while not ready():
-                left = None if deadline is None else deadline - time.monotonic()
-                if left is not None and left <= 0:
-                    return False
-                self._changed.wait(wait_step(left))
-            return True
+            return wait_until(self._changed, ready, timeout)
         finally:
             self._waiting -= 1
 

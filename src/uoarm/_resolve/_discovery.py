@@ -15,6 +15,7 @@ from typing import TypeAlias, TypeVar
 
 from attrs import define, evolve, field
 
+from uoarm._interrupts import wait_until
 from uoarm._raised import LimitedLog, sentence_of
 from uoarm._resolve._catalogue import StructureCache, Unavailable
 from uoarm._support import deadlines
@@ -132,9 +133,11 @@ class Discovery:
                 )
 
             if asked:
-                self._changed.wait_for(has_begun, timeout=None if grace is None else timeout)
-                self._changed.wait_for(
-                    lambda: not any(question.is_under_way for question in asked), timeout=grace
+                wait_until(self._changed, has_begun, None if grace is None else timeout)
+                wait_until(
+                    self._changed,
+                    lambda: not any(question.is_under_way for question in asked),
+                    grace,
                 )
             answers = {name: question.answer for name, question in self._questions.items()}
             now = time.monotonic()

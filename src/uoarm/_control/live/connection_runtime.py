@@ -14,6 +14,7 @@ from attrs import evolve
 from uoarm._control.engine.actions import HandOver
 from uoarm._control.engine.state import ConnectionRecord
 from uoarm._dataplane import Route
+from uoarm._interrupts import wait_for
 from uoarm._parts import ApplicationPorts, LiveComponent, LiveEdge, OutputReceiver
 from uoarm._spans import past_span
 from uoarm.model import Gap, QueuePolicy, RouteStatus
@@ -267,7 +268,7 @@ class StartDelivery:
 
     def wait(self, timeout: float) -> bool:
         """Wait until it was done, but not in the thread that does it; False: it was not."""
-        return self._thread == threading.get_ident() or self._over.wait(timeout)
+        return self._thread == threading.get_ident() or wait_for(self._over, timeout)
 
     def __call__(self) -> None:
         self._thread = threading.get_ident()

@@ -17,7 +17,7 @@ from uoarm._control.live.listeners import EventDispatcher
 from uoarm._control.live.parts import StateOwner
 from uoarm._control.live.revisions import Revisions
 from uoarm._dataplane import Clock
-from uoarm._interrupts import Uninterrupted
+from uoarm._interrupts import Uninterrupted, wait_until
 from uoarm._parts import Functions, OfferedFunction, offered_structures
 from uoarm._raised import LimitedLog, sentence_of
 from uoarm.bridge import HealthEvent
@@ -222,7 +222,7 @@ class Offers:
         # opens or closes: that would wait for itself.
         if threading.get_ident() not in self._working:
             with self._changed:
-                self._changed.wait_for(is_done, timeout)
+                wait_until(self._changed, is_done, timeout)
 
     def _status(self, offer: Offer, record: OfferRecord | None) -> OfferStatus:
         _, opened = self._opened.get(offer.name, (0, None))
