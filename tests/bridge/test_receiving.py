@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 
@@ -91,4 +92,9 @@ def test_it_wakes_at_the_time_that_it_was_given_and_when_it_is_poked() -> None:
     wait(lambda: len(woken) == 3)
     queue.put(0)
     wait(lambda: len(woken) == 4)
+    due.append(math.inf)
+    queue.poke()
+    wait(lambda: len(woken) == 5)
+    queue.poke()
+    wait(lambda: len(woken) == 6)
     queue.close()

@@ -121,6 +121,52 @@ def test_a_cancellation_is_finished_however_many_actions_follow_it() -> None:
     assert vehicle.is_idle
 
 
+def test_a_vehicle_that_falls_silent_while_it_cancels_is_followed_when_it_speaks_again() -> None:
+    release = RELEASES["2.1"]
+    vehicle, transport = VehicleState(release, frozenset()), TransportState(release)
+    codec: Any = SimpleNamespace(
+        split=lambda payload: ({}, json.loads(payload)), encode=lambda body: json.dumps(body)
+    )
+    sent: list[tuple[str, Any]] = []
+    link: Any = SimpleNamespace(
+        require_up=lambda: None,
+        unsubscribe=lambda _: None,
+        publish=lambda topic, payload, *_, **__: sent.append((topic, json.loads(payload))),
+    )
+    reports: list[str] = []
+    codecs = dict.fromkeys(("order", "instantActions", "state"), codec)
+    follower = VehicleFollower(
+        link, "v2/m/s", transport, 0.05, codecs, lambda _, cause: reports.append(cause)
+    )
+    news: list[Any] = []
+    follower.join(news.append)
+
+    def says() -> None:
+        event: Any = SimpleNamespace(payload=json.dumps(state(vehicle)).encode())
+        follower._inbox.put(event)
+
+    try:
+        says()
+        wait(lambda: transport._known is not None)
+        goal_id = follower.goal(goal("a", "b"))
+        vehicle.order(sent[-1][1])
+        vehicle.driving = True
+        says()
+        wait(lambda: transport.phase is Phase.UNDER_WAY)
+        follower.cancel(goal_id)
+        for action in sent[-1][1]["actions"]:
+            vehicle.instant(action)
+        reports.clear()
+        says()
+        wait(lambda: any("silent" in cause for cause in reports), f"{reports}")
+        vehicle.driving = False
+        vehicle.stands()
+        says()
+        wait(lambda: ends(news) == [("canceled", "cancelled")], f"{news}")
+    finally:
+        follower.close()
+
+
 def test_states_that_were_not_followed_are_in_the_facts(broker: Broker) -> None:
     with driven(broker, "missed", "b", state_seconds=0.05) as driver, bridge_to(broker) as bridge:
         status = Collector()

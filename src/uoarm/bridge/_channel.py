@@ -5,6 +5,7 @@ A `ReceiveQueue` stands between a framework's thread and one of the channel: bou
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -419,7 +420,9 @@ class ReceiveQueue(Generic[T]):
         while not self.closed:
             due = self._wake()
             with self._changed:
-                left = None if due is None else max(0.0, due - time.monotonic())
+                left = None  # for ever, as after infinitely many seconds, which no wait takes
+                if due is not None and due < math.inf:
+                    left = max(0.0, due - time.monotonic())
                 self._changed.wait_for(
                     lambda: self._is_closed or self._waiting or self._poked, left
                 )

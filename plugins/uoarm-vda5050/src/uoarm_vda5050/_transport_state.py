@@ -119,7 +119,7 @@ class TransportState:
     _settle_at: float | None = None
     _old_errors: tuple[Body, ...] = ()
     _cancel_id: str = ""
-    _cancel_at: float = 0.0
+    _cancel_at: float | None = None  # None: the vehicle has it
     _abandoned: dict[str, str] = field(factory=dict)  # order to the action that cancels it
     _abandoned_at: float = 0.0
     _made: int = 0
@@ -138,7 +138,7 @@ class TransportState:
             times += [self._repeat_at, self._give_up_at]
         elif self._update is not None:
             times.append(self._repeat_at)
-        if self._cancel_id:
+        if self._cancel_id and self._cancel_at is not None:
             times.append(self._cancel_at)
         if self._settle_at is not None:
             times.append(self._settle_at)
@@ -241,7 +241,7 @@ class TransportState:
             text = f"the vehicle does not say what became of {', '.join(silent)}"
             return self._end("aborted", text + self.unread_states())
         actions: list[Action] = []
-        if self._cancel_id and now >= self._cancel_at:
+        if self._cancel_id and self._cancel_at is not None and now >= self._cancel_at:
             self._cancel_at = now + self.times.repeat
             actions.append(self._cancelling(self._cancel_id, order.order_id))
         if now >= self._repeat_at:
@@ -317,7 +317,7 @@ class TransportState:
     def _ended_by(self, known: OrderReport, order: Order, now: float) -> list[Action]:
         cancelled = known.instants.get(self._cancel_id, "") if self._cancel_id else ""
         if cancelled:
-            self._cancel_at = float("inf")  # it has it
+            self._cancel_at = None
         waiting = self._settle_at
         self._settle_at = None
         if known.is_active or self._update is not None:
