@@ -17,6 +17,7 @@ from brokers import Broker, Peer, running
 from tests.inbox import health_events, until  # type: ignore[import-not-found]
 from uoarm_mqtt import _channels, _link
 from uoarm_mqtt._channels import _Call
+from uoarm_mqtt._link import PacketOutcome
 
 from uoarm.bridge import Bridge, Registry, Sink, Source
 from uoarm.errors import (
@@ -394,6 +395,47 @@ class TestServices:
         assert "MessageError" in dict(came[2].properties.UserProperty)["error"]
         wait(lambda: channel.facts()["unanswerable"] == 1, f"{channel.facts()}", patience())
 
+    @pytest.mark.parametrize("said", ["two\nlines", "nul\0", "del\x7f", "none\ufdd0", "\U0001ffff"])
+    def test_a_failure_in_any_words_is_reported_and_breaks_no_connection(
+        self, bridge: Bridge, said: str
+    ) -> None:
+        events = health_events(bridge)
+
+        def answer(request: Any) -> Any:
+            raise ValueError(f"{request}: {said} \U0001f600")
+
+        place = endpoint("served/words", Role.SERVICE)
+        bridge.serve(place, answer)
+        with pytest.raises(BridgeError, match=r"the service failed: ValueError: 1: .* \U0001f600"):
+            bridge.call(place, 1, timeout=patience())
+        assert not events
+
+    def test_a_service_that_the_broker_takes_no_more_after_a_break_is_lost(
+        self, broker: Broker, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        refusing = PacketOutcome("the broker refuses: Not authorized")
+        with cut_off(broker) as (proxy, bridge):
+            events = health_events(bridge)
+            served = bridge.serve(endpoint("served/no/more", Role.SERVICE), lambda _: 1)
+            calls = bridge._calls  # type: ignore[attr-defined]
+            place = endpoint("served/elsewhere", Role.SERVICE)
+            with pytest.raises(BridgeError):
+                bridge.call(place, 1, timeout=patience())
+            note = _link.BrokerConnection._note
+
+            def refused(self: Any, key: Any, pending: Any, *more: Any) -> None:
+                if key[0] == "s":
+                    pending.done(refusing)
+                else:
+                    note(self, key, pending, *more)
+
+            monkeypatch.setattr(_link.BrokerConnection, "_note", refused)
+            proxy.cut()
+            lost = until(events, Health.LOST)
+            assert lost.channel is served
+            assert "Not authorized" in lost.cause
+            assert not calls._is_open, "the next call says why no reply can come"
+
 
 class TestBroker:
     """The broker killed, silent, hostile, and what a bridge may not do."""
@@ -705,6 +747,8 @@ class TestRefusals:
         [
             ("a/#/b", "output", {}, "last"),
             ("a/b+", "output", {}, "whole level"),
+            ("a\n", "output", {}, "control characters"),
+            ("a\uffff", "input", {}, "control characters"),
             ("$share/g/a", "output", {}, "`share`"),
             ("a/+", "input", {}, "wildcards"),
             ("a", "input", {"with_topic": True}, "with_topic"),

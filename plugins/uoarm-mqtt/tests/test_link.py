@@ -83,6 +83,51 @@ def test_what_is_published_as_it_closes_is_answered_once(
     assert not link._pending
 
 
+@pytest.mark.parametrize("is_answered", [False, True])
+def test_what_is_noted_after_a_break_is_answered(
+    link: BrokerConnection, monkeypatch: pytest.MonkeyPatch, *, is_answered: bool
+) -> None:
+    """Published before it and noted after: its answer was there by then, or never comes."""
+    link.require_up()
+    gate, reports = Gate(), list[PacketOutcome]()
+    monkeypatch.setattr(BrokerConnection, "_note", gate.before(BrokerConnection._note))
+    if not is_answered:
+        monkeypatch.setattr(link._client, "_packet_queue", lambda *_: 0)  # it is never sent
+    qos = int(is_answered)
+    publishing = Background(lambda: link.publish("a", b"x", reports.append, qos=qos))
+    assert gate.reached.wait(patience())
+    monkeypatch.undo()
+    if is_answered:
+        wait(lambda: link._early, "not answered", patience())
+    breaks = link.breaks
+    broken = link._client.socket()
+    assert isinstance(broken, socket.socket)
+    broken.shutdown(socket.SHUT_RDWR)
+    wait(lambda: link.breaks > breaks, "it did not break", patience())
+    gate.opened.set()
+    publishing.result()
+    wait(lambda: reports, "never answered", 10.0)
+    assert [bool(report.failure) for report in reports] == [not is_answered]
+    assert not link._early
+    assert not link._pending
+    link.close()
+
+
+def test_without_a_thread_it_says_so_and_tries_again(
+    link: BrokerConnection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as without:
+        without.setattr(threading.Thread, "start", start)
+        for _ in range(2):
+            with pytest.raises(BridgeError, match="can't start new thread"):
+                link.require_up()
+    link.require_up()
+    link.close()
+
+
 def test_what_wakes_the_client_stays_until_no_caller_publishes(
     link: BrokerConnection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,7 +174,7 @@ def test_a_receiver_that_raises_ends_no_other(
     came: list[ReceivedMessage] = []
 
     def give(message: ReceivedMessage) -> None:
-        raise ValueError(message.payload)
+        raise (ValueError if message.payload == b"1" else SystemExit)(message.payload)
 
     link.subscribe(Receiver("raising/+", give))
     link.subscribe(Receiver("raising/a", came.append))

@@ -96,7 +96,10 @@ class MqttBridge(Bridge):
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
     ) -> Channel:
-        return ServedTopic(endpoint, self._options_of(endpoint), structures, handler, self._broker)
+        options = self._options_of(endpoint)
+        return ServedTopic(
+            endpoint, options, structures, handler, self._broker, self.report_channel
+        )
 
     def _discover(self) -> tuple[Discovered, ...]:
         wanted, pattern = self._options.discover, self._options.schemas

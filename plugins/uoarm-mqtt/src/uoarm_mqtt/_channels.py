@@ -27,7 +27,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, Message
 from uoarm.model import Endpoint, Health, Message
 from uoarm_mqtt._codec import CONTENT_TYPES, PayloadCodec
 from uoarm_mqtt._link import BrokerConnection, PacketOutcome
-from uoarm_mqtt._options import TopicOptions
+from uoarm_mqtt._options import TopicOptions, sendable
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 
 Report = Callable[[Channel, Health, str], None]
@@ -242,7 +242,8 @@ class ServiceCalls:
 
     def __init__(self, link: BrokerConnection, topic: str) -> None:
         self._link = link
-        self._receiver = Receiver(f"{topic}/{link.options.client_level}", self._take)
+        topic = f"{topic}/{link.options.client_level}"
+        self._receiver = Receiver(topic, self._take, refused=self._refused)
         # Of the first callers, in threads of their own, exactly one subscribes to the replies, and
         # none publishes a request before that.
         self._opening = threading.Lock()
@@ -305,6 +306,10 @@ class ServiceCalls:
             text = f"{endpoint}: the reply cannot be read: {error}"
             raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
 
+    def _refused(self, _: str) -> None:
+        """Have the next call subscribe again: it says why no reply can come."""
+        self._is_open = False
+
     def _take(self, incoming: ReceivedMessage) -> None:
         correlation = getattr(incoming.properties, "CorrelationData", b"")
         call = self._waiting.get(correlation)
@@ -326,6 +331,7 @@ class ServedTopic(Channel):
         structures: ServiceStructures,
         handler: Handler,
         link: BrokerConnection,
+        report: Report,
     ) -> None:
         super().__init__(endpoint)
         self._options, self._handler, self._link = options, handler, link
@@ -334,7 +340,13 @@ class ServedTopic(Channel):
         topic = endpoint.address[0]
         self._queue = receive_queue(topic, self._take, link)
         shared = f"$share/{options.share}/{topic}" if options.share else topic
-        self._receiver = Receiver(shared, self._queue.put, max(1, options.qos))
+        monitor = ChannelMonitor(ChannelHealth(topic, 0.0), partial(report, self))
+        self._receiver = Receiver(
+            shared,
+            self._queue.put,
+            max(1, options.qos),
+            refused=lambda cause: monitor.refused(cause, final=True),
+        )
         try:
             link.subscribe(self._receiver)
         except BaseException:
@@ -370,7 +382,7 @@ class ServedTopic(Channel):
         except Exception as error:  # noqa: BLE001 - of the handler: the caller gets its text
             self._failed += 1
             payload = b""
-            more["UserProperty"] = (_FAILED, text_of(error))
+            more["UserProperty"] = (_FAILED, sendable(text_of(error)))
         try:
             self._link.publish(topic, payload, _ignore, qos=1, more=more)
         except Exception:  # noqa: BLE001 - not connected any more, or no topic

@@ -10,7 +10,7 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode
 
-from uoarm.bridge import tls_fault
+from uoarm.bridge import foreign, tls_fault
 from uoarm_mqtt._options import BrokerCredentials
 
 MOST_IN_FLIGHT = 20
@@ -22,7 +22,22 @@ class PacketTooLargeError(OSError):
 
 
 class ThreadedClient(Client):
-    """paho's client, whose thread may end while it is waited for."""
+    """paho's client, whose thread may end while it is waited for, or not begin."""
+
+    def loop_start(self) -> MQTTErrorCode:
+        """Begin the thread.
+
+        paho's own takes one that could not begin for one that runs.
+
+        Raises:
+            RuntimeError: the system gives no more threads.
+        """
+        try:
+            return super().loop_start()
+        except RuntimeError:
+            self._thread = None
+            self._reset_sockets(sockpair_only=True)
+            raise
 
     def loop_stop(self) -> MQTTErrorCode:
         """End the thread and wait for it.
@@ -53,7 +68,7 @@ class BrokerClient(ThreadedClient):
     ) -> MQTTErrorCode:
         cause = None
         try:
-            return super().loop_forever(timeout, retry_first_connection)
+            return foreign(super().loop_forever, timeout, retry_first_connection)
         except Exception as error:  # noqa: BLE001 - whatever ends the thread is reported
             cause = error
             return MQTTErrorCode.MQTT_ERR_UNKNOWN

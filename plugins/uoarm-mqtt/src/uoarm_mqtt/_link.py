@@ -20,7 +20,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from uoarm.bridge import Backoff, Disconnection, LimitedLog, text_of, tls_fault
+from uoarm.bridge import Backoff, Disconnection, LimitedLog, foreign, text_of, tls_fault
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
 from uoarm_mqtt._client import MOST_IN_FLIGHT, BrokerClient, reason_text
@@ -93,6 +93,7 @@ class BrokerConnection:
     _running: bool = False
     _closed: bool = False
     _calls: int = 0  # of paho that are under way, which `close` waits for
+    _fails: int = 0  # how often what was under way was answered that it failed
     _largest: int | None = None  # octets of a packet that the broker takes
     # Guards all that is mutable here: callers in any thread, against paho's.
     _changed: threading.Condition = field(factory=threading.Condition, init=False)
@@ -236,13 +237,13 @@ class BrokerConnection:
             # The broker would end the connection for it, and again when paho repeats it.
             text = f"{topic}: {size:,} octets, while the broker takes {self._largest:,} at most"
             raise MessageError(text)
-        with self._calling():
+        with self._calling() as fails:
             info = self._client.publish(topic, payload, qos, retain, said)
             # Not connected any more: paho keeps what has a QoS, and sends it when it is.
             if info.rc and not (qos and info.rc == MQTTErrorCode.MQTT_ERR_NO_CONN):
                 text = f"bridge {self.name!r}: {topic}: not sent: {info.rc.name}"
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
-            self._note(("p", info.mid), _Pending(done, survives=qos > 0))
+            self._note(("p", info.mid), _Pending(done, survives=qos > 0), fails)
 
     def close(self) -> None:
         """Say goodbye, where a broker is there to take it, and end paho's thread."""
@@ -271,8 +272,10 @@ class BrokerConnection:
         return BridgeError(text, FailureReason.CLOSED)
 
     @contextmanager
-    def _calling(self) -> Iterator[None]:
+    def _calling(self) -> Iterator[int]:
         """Call paho, and note what it was given, in any thread; `close` waits for the end of it.
+
+        Yields how often what was under way has failed before, for the note.
 
         Raises:
             BridgeError: the connection is closed.
@@ -281,11 +284,14 @@ class BrokerConnection:
             if self._closed:
                 raise self._closed_error()
             self._calls += 1
+            fails = self._fails
         try:
-            yield
+            yield fails
         finally:
             with self._changed:
                 self._calls -= 1
+                if not self._calls:
+                    self._early.clear()  # all is noted: these are of what was never sent
                 self._changed.notify_all()
 
     def _start(self) -> None:
@@ -301,10 +307,14 @@ class BrokerConnection:
             options.keepalive,
             properties=properties("CONNECT", **wanted),
         )
-        if self._client.loop_start():  # a thread that has just given up is still ending
+        try:
+            # A thread that has just given up may still be ending.
+            cause = "the attempt before is still ending" if self._client.loop_start() else ""
+        except RuntimeError as error:
+            cause = text_of(error)
+        if cause:
             with self._changed:
-                self._running = False
-                self._cause = "the attempt before is still ending"
+                self._running, self._cause = False, cause
 
     def _announce(self, topic: str, payload: str) -> None:
         info = self._client.publish(topic, payload, 1, retain=True)
@@ -345,12 +355,12 @@ class BrokerConnection:
             outcomes.append(outcome)
             answered.set()
 
-        with self._calling():
+        with self._calling() as fails:
             rc, mid = send()
             if rc or mid is None:
                 text = f"bridge {self.name!r}: {what}: the connection to the broker is broken"
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
-            self._note((kind, mid), _Pending(done, survives=False))
+            self._note((kind, mid), _Pending(done, survives=False), fails)
         if not answered.wait(seconds):
             raise BridgeTimeoutError(f"bridge {self.name!r}: {what}: the broker does not answer")
         (outcome,) = outcomes
@@ -360,9 +370,13 @@ class BrokerConnection:
             reason = FailureReason.REFUSED if is_refused else FailureReason.UNAVAILABLE
             raise BridgeError(text, reason)
 
-    def _note(self, key: tuple[str, int], pending: _Pending) -> None:
+    def _note(self, key: tuple[str, int], pending: _Pending, fails: int | None = None) -> None:
+        """Note what waits for an answer; `fails`: as `_calling` yielded, in another thread."""
         with self._changed:
             early = self._early.pop(key, None)
+            if early is None and not pending.survives and fails not in {None, self._fails}:
+                why = self._cause or "the connection broke"  # in between
+                early = PacketOutcome(why, is_answer=False)
             if early is None:
                 self._pending[key] = pending
         if early is not None:
@@ -384,7 +398,7 @@ class BrokerConnection:
     def _fail(self, cause: str, *, everything: bool = False) -> None:
         """Answer what the broker will not answer any more."""
         with self._changed:
-            self._early.clear()
+            self._fails += 1
             gone = [
                 key for key, pending in self._pending.items() if everything or not pending.survives
             ]
@@ -485,7 +499,7 @@ class BrokerConnection:
             receivers = self._subscriptions.route(came)
         for receiver in receivers:
             try:
-                receiver.give(came)
+                foreign(receiver.give, came)
             except Exception as error:  # noqa: BLE001 - a message of one topic ends no other
                 text = f"{self.name}: a message on {came.topic} was not taken"
                 self._records.write(logging.ERROR, text, error)

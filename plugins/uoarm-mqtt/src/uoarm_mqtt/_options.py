@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import ssl
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -42,6 +43,12 @@ _SERVICE: Mapping[str, Any] = {
 
 
 _LONGEST_TOPIC = 65535
+# Of a text in a packet, such as a topic: control characters, halves of pairs and non-characters.
+_UNSENDABLE = re.compile(
+    "[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef"
+    + "".join(chr(plane << 16 | last) for plane in range(17) for last in (0xFFFE, 0xFFFF))
+    + "]"
+)
 
 
 @frozen
@@ -246,10 +253,16 @@ def mistake(address: tuple[str, ...], options: Options) -> str:
     return wrong_filter(address[0])
 
 
+def sendable(text: str) -> str:
+    """Return a text without what brokers end the connection for."""
+    return _UNSENDABLE.sub(" ", text)
+
+
 def wrong_filter(topic: str) -> str:
     """Say what is wrong with a topic or topic filter, "" where nothing is."""
-    if not topic or "\0" in topic or len(topic.encode(errors="replace")) > _LONGEST_TOPIC:
-        return f"expected a topic of 1 to {_LONGEST_TOPIC} octets without NUL, got {topic[:80]!r}"
+    if not 0 < len(topic.encode(errors="replace")) <= _LONGEST_TOPIC or _UNSENDABLE.search(topic):
+        what = f"a topic of 1 to {_LONGEST_TOPIC} octets without control characters"
+        return f"expected {what}, got {topic[:80]!r}"
     if topic.startswith("$share/"):
         return f"{topic!r}: write the topic alone, and the group as the option `share`"
     *inner, last = topic.split("/")
