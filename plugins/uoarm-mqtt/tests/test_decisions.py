@@ -6,6 +6,7 @@ import threading
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
@@ -111,6 +112,17 @@ def test_octets_in_json_are_base64_with_its_padding_or_without() -> None:
     for text in (b'"Y"', b'"YQ="', b'"Y Q"'):
         with pytest.raises(MessageError):
             codec.decode(text)
+
+
+@pytest.mark.parametrize("kind", ["u1", "i1", "<i8", ">u2"])
+def test_octets_are_the_numbers_of_an_array_and_not_its_memory(kind: str) -> None:
+    numbers: Any = np.array([1, 2, 127], kind)
+    budget = Budget()
+    assert PayloadCodec("octets", budget).encode(numbers) == b"\x01\x02\x7f"
+    assert PayloadCodec("json", budget).encode(memoryview(numbers.astype("<i8"))) == b'"AQJ/"'
+    for wrong in (np.array([-1], "i1"), np.array([256]), np.array([1.5])):
+        with pytest.raises(MessageError):
+            PayloadCodec("octets", budget).encode(wrong)
 
 
 KNOWN: list[tuple[Role, dict[str, object], dict[str, object], bool]] = [

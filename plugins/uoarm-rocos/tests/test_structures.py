@@ -144,6 +144,12 @@ def test_buffers_and_numpy_fit() -> None:
         "on": True, "rate": 1.5, "mode": "fast", "spo2": 7, "image": b"abc", "levels": [1, 0, -1]
     }  # fmt: skip
     assert {type(item) for item in fitted.values()} == {bool, float, str, int, bytes, list}
+    image = {"image": NamedField(OctetsField())}
+    for kind in ("u1", "i1", "<i8", ">u2"):  # the numbers of an array, and not its memory
+        assert fit(image, {"image": np.array([1, 127], kind)}, "m") == {"image": b"\x01\x7f"}
+    for wrong in (np.array([-1], "i1"), np.array([256]), np.array([1.5])):
+        with pytest.raises(WireError, match="expected octets"):
+            fit(image, {"image": wrong}, "m")
 
 
 def test_one_class_for_each_api() -> None:

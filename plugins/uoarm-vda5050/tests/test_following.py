@@ -124,9 +124,7 @@ def test_a_cancellation_is_finished_however_many_actions_follow_it() -> None:
 def test_a_vehicle_that_falls_silent_while_it_cancels_is_followed_when_it_speaks_again() -> None:
     release = RELEASES["2.1"]
     vehicle, transport = VehicleState(release, frozenset()), TransportState(release)
-    codec: Any = SimpleNamespace(
-        split=lambda payload: ({}, json.loads(payload)), encode=lambda body: json.dumps(body)
-    )
+    codec: Any = SimpleNamespace(split=lambda payload: ({}, json.loads(payload)), encode=json.dumps)
     sent: list[tuple[str, Any]] = []
     link: Any = SimpleNamespace(
         require_up=lambda: None,

@@ -209,6 +209,8 @@ def _octets(kind: OctetsField, value: Any) -> bytes:
     if isinstance(value, str | Integral | float | Mapping) or value is None:
         raise _wrong("octets", value)
     try:
+        if hasattr(value, "tolist") and memoryview(value).format != "B":
+            value = value.tolist()  # else `bytes` would take what is in memory
         octets = bytes(value)
     except (TypeError, ValueError):
         raise _wrong("octets", value) from None
