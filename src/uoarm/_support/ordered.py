@@ -100,9 +100,9 @@ class OrderedMap(Mapping[Key, Value]):
         return f"OrderedMap({list(self.items())})"
 
 
-def keep_newest(by_name: dict[str, Value], name: str, value: Value) -> None:
+def keep_newest(by_name: dict[str, Value], name: str, value: Value, most: int = _NAMES) -> None:
     """Set a value, and forget those that were set longest ago: names come and go for ever."""
     by_name.pop(name, None)
     by_name[name] = value
-    while len(by_name) > _NAMES:
+    while len(by_name) > most:
         del by_name[next(iter(by_name))]

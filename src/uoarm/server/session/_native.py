@@ -6,7 +6,7 @@ import asyncio
 import functools
 import logging
 import time
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Collection, Coroutine, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -431,16 +431,27 @@ class NativeSession:
         # Names and addresses of others are for whom may see everything.
         wants_others = wants_clients and role.allows_all(Operation.SEE)
         question = StatusQuestion(role, self._form, since, past=watches, clients=wants_others)
-        answer = await self._registry.views.get(self._shared.status.make, question)
-        own, now = self._form.write(self._streams.counters()), self._form.write(time.time())
-        parts = {**answer.fields, "own": own, "time": now}
-        if wants_clients and not wants_others:
-            parts["clients"] = self._form.write([self.who()])
-        await self._emit_view(asked, self._form.map_of(parts))
+        views = self._registry.views
+        answer, own = await asyncio.gather(
+            views.get(self._shared.status.make, question),
+            views.get(self._write_own, wants_clients and not wants_others),
+        )
+        await self._emit_view(asked, self._form.map_of({**answer.fields, **own}))
         if watches and not self._registry.is_watched_by(self._changed):
             self._registry.watch(self._changed)
             for event in self._registry.after(answer.number):
                 self._changed(event)
+
+    def _write_own(self, questions: Collection[bool]) -> dict[bool, dict[str, bytes]]:
+        """Return what a Status has for this client alone, in the thread of the views.
+
+        Each question is whether it wants to know itself as a client.
+        """
+        write = self._form.write
+        own = {"own": write(self._streams.counters()), "time": write(time.time())}
+        return {
+            shows: {**own, "clients": write([self.who()])} if shows else own for shows in questions
+        }
 
     async def _emit_view(self, asked: ControlMessage, written: bytes) -> None:
         """Send an answer that may be long, when there is room: the client did not choose that."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import functools
 import math
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ from attrs import frozen
 
 from uoarm._control import Connection
 from uoarm._support.aio_deadlines import result_within
+from uoarm._support.ordered import keep_newest
 from uoarm._wire import Form
 from uoarm.errors import BridgeTimeoutError, MessageError, UsageError
 from uoarm.model import LeaseHolder, Message, OverflowPolicy, QueuePolicy, ValidationMode
@@ -46,14 +46,15 @@ class Stream:
     @property
     def number(self) -> int | None:
         """The number of the last message that was sent or lost; None while others wait."""
+        # First: in another thread than the loop's, the next one may wait by the time of the look.
+        number = self.subscription.number
         is_waiting = self.subscription.lane.waiting or self.feed.is_writing
-        return None if is_waiting else self.subscription.number
+        return None if is_waiting else number
 
 
 class _End(NamedTuple):
     """The end of a connection, as it was sent."""
 
-    connection: str
     lane: Lane
     frame: bytes
 
@@ -88,9 +89,9 @@ class ClientStreams:
         self._shown = shown
         self._streams: dict[str, Stream] = {}
         self._sendings: dict[str, InputSender] = {}
-        # The last ends, for a client that comes back: those of more streams than it may have are
-        # old.
-        self._ends: deque[_End] = deque(maxlen=client.limits.streams)
+        # The last ends by connection, for a client that comes back: those of more streams than it
+        # may have are old.
+        self._ends: dict[str, _End] = {}
         # By connection, who waits for its end; set before the kill begins, so that a second one
         # joins it.
         self._killing: dict[str, list[Callable[[], None]]] = {}
@@ -131,8 +132,7 @@ class ClientStreams:
         # After the opening, since only then the connection has a name: two requests at the same
         # time get the same feed, and the second gives its claim back.
         # Or it had it until just now: a second stream's end would come before what waits of that.
-        ended = (end.connection for end in self._ends)
-        if connection.id in self._streams or connection.id in ended:
+        if connection.id in self._streams or connection.id in self._ends:
             self._registry.leave(feed)
             raise UsageError(f"this client has {wanted.name!r} open as {connection.id}")
         stream = self._streams[connection.id] = self._stream(feed, connection, options)
@@ -233,7 +233,7 @@ class ClientStreams:
         return list(self._streams)
 
     def counters(self) -> list[dict[str, object]]:
-        """Return what came and what was lost, for each connection."""
+        """Return what came and what was lost, for each connection. From any thread."""
         return [
             {
                 "connection": identity,
@@ -244,12 +244,12 @@ class ClientStreams:
                 "left_out": stream.subscription.skipped,
                 "number": stream.number,
             }
-            for identity, stream in self._streams.items()
+            for identity, stream in tuple(self._streams.items())
         ]
 
     def repeat_ends(self) -> None:
         """Send the last ends once more: after a drop the client may not have received them."""
-        for end in self._ends:
+        for end in self._ends.values():
             # One whose end waits still will be sent anyway, and must not be sent twice.
             if not end.lane.waiting:
                 self._client.outbox.finish(end.lane, end.frame)
@@ -319,7 +319,7 @@ class ClientStreams:
             # Through the stream's own queue: the end comes after its last message.
             lane = stream.subscription.lane
             self._client.outbox.finish(lane, frame)
-            self._ends.append(_End(identity, lane, frame))
+            keep_newest(self._ends, identity, _End(lane, frame), self._limits.streams)
 
     def _remove(self, identity: str, cause: str = "") -> Stream | None:
         stream = self._streams.pop(identity, None)
