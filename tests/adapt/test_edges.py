@@ -385,6 +385,13 @@ def test_suggestions_for_hostile_structures_are_given_up() -> None:
     assert list(left) == []
 
 
+@pytest.mark.parametrize("malformed", [[[]], True, "x", {"a": 1}])
+def test_what_is_no_schema_is_refused_as_that(malformed: object) -> None:
+    taken = MessageStructure({"type": "object", "properties": malformed, "required": ["a"]})
+    verdict = check_edge(MessageStructure(SOURCE), taken)
+    assert [reason.error_code for reason in verdict.reasons] == ["UOA-226"]
+
+
 def test_an_example_stands_at_the_reason_that_it_shows() -> None:
     refused = check_edge(
         structure(step=INT, data=NUMBER),

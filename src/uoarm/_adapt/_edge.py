@@ -27,6 +27,7 @@ _CHECK_SECONDS = 10.0
 _SUGGEST_SECONDS = 5.0
 _MAX_LOSSES = 200
 _STATED = Meaning()
+_NO_SCHEMA = "UOA-226"
 
 
 @frozen
@@ -79,7 +80,8 @@ def check_edge(
     """
     verdict = _judge(producer, consumer, mapping, allow_loss, meaning, CheckBudget(seconds=seconds))
     is_explained = verdict.compatible or not verdict.reasons or bool(verdict.reasons[0].suggestion)
-    if is_explained or not suggest_seconds:
+    # What looks for a map reads both structures, which have to be schemas for that.
+    if is_explained or verdict.reasons[0].error_code == _NO_SCHEMA or not suggest_seconds:
         return verdict
     end = time.thread_time() + suggest_seconds
 
@@ -133,7 +135,7 @@ def _judge(
         return EdgeVerdict(False, (Reason(str(error), path=error.path, error_code="UOA-221"),))
     except SchemaError as error:
         sentence = f"a structure is no JSON Schema: {error}"
-        return EdgeVerdict(False, (Reason(sentence, error_code="UOA-226"),))
+        return EdgeVerdict(False, (Reason(sentence, error_code=_NO_SCHEMA),))
 
 
 def _with_meaning(verdict: EdgeVerdict, emitted: Any, taken: Any, meaning: Meaning) -> EdgeVerdict:
