@@ -21,6 +21,7 @@ from uoarm.bridge import Registry
 from uoarm.cli import main
 from uoarm.client import ServerError, connect
 from uoarm.config import loads
+from uoarm.errors import UsageError
 from uoarm.model import Message
 from uoarm.server import Limits, Server, ServerOptions, hash_token, make_token
 from uoarm.testing import MemoryBridge, patience, wait
@@ -203,6 +204,13 @@ async def test_the_python_client(guarded: Server) -> None:
             await driver.release()
     async with connect(url(guarded), token=TOKENS["keeper"]) as keeper:
         await keeper.release()
+
+
+async def test_what_has_no_output_is_not_read(guarded: Server) -> None:
+    async with connect(url(guarded), token=TOKENS["driver"]) as driver:
+        drive = await driver.request("drive")
+        with pytest.raises(UsageError, match="'drive' has no output"):
+            await drive.get(patience())
 
 
 def test_the_command_line_says_who_has_not_stopped(

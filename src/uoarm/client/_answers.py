@@ -157,7 +157,7 @@ _RECORDING: Shape = {"recording": "text", "state": "text", "files": ["text"]}
 _PLAYER: Shape = {"bridge": "text", "functions": ["text"], "may_move": "boolean", "cause": "text"}
 _ANSWERS: Mapping[str, Shape] = {
     "Request": {
-        "connection": "text", "inputs": ["text"], "warnings": ["text"],
+        "connection": "text", "inputs": ["text"], "output?": "text|null", "warnings": ["text"],
         "lifetimes?": {"*": "number"}, "latched?": "boolean", "number?": "integer|null",
     },
     "List": {

@@ -16,7 +16,7 @@ from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._renewal import HeldCommand, renewal_period, renewed_in_task
 from uoarm._support.aio_deadlines import event_by
 from uoarm.bridge import boot_seconds
-from uoarm.errors import ConnectionClosedError
+from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import Message
 
 Ask = Callable[..., Awaitable[Any]]
@@ -29,6 +29,7 @@ class RemoteStream(Generic[T]):
     Attributes:
         connection: its name at the server, shared with other clients of the same function.
         inputs: inputs that `send` can feed.
+        output: what `get` reads; None where there is nothing to read.
         lifetimes: seconds for which a command lives, by input; of those that have one.
         latched: whether who comes gets first what its output gave last.
         lost: messages that did not get here, as gaps in their numbers, or were not read in time.
@@ -69,6 +70,7 @@ class RemoteStream(Generic[T]):
     def _describe(self, opened: Mapping[str, Any]) -> None:
         self.connection: str = opened["connection"]
         self.inputs: tuple[str, ...] = tuple(opened["inputs"])
+        self.output: str | None = opened.get("output", "")  # "": the server is older, and says none
         self.warnings: tuple[str, ...] = tuple(opened["warnings"])
         self.lifetimes: Mapping[str, float] = opened.get("lifetimes", {})
         self.latched: bool = opened.get("latched", False)
@@ -110,7 +112,10 @@ class RemoteStream(Generic[T]):
             ConnectionClosedError: the function has ended and every message was read.
             MessageError: a component gave something else than it had declared, so that no value
                 of `as_type` could be made. The next call goes on with the next message.
+            UsageError: the function has no output, or it was asked for to send only.
         """
+        if self.output is None:
+            raise UsageError(f"function {self.request['type']!r} has no output to read")
         loop = asyncio.get_running_loop()
         deadline = None if timeout is None else loop.time() + timeout
         while not self._waiting:

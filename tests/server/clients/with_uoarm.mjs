@@ -42,6 +42,10 @@ for (const binary of [false, true]) {
   assert.deepEqual([...(binary ? data : Buffer.from(data, "base64"))], [...Array(256).keys()]);
   await picture.kill();
 
+  const mute = await robot.request("echo", { receive: false });
+  await refused(mute.get(), "usage");
+  await refused(mute[Symbol.asyncIterator]().next(), "usage");
+  await mute.kill();
   const echo = await robot.request("echo", { queue: { length: 100 } });
   for (let value = 0; value < 20; value++) echo.send({ value });
   for (let value = 0; value < 20; value++) assert.deepEqual(await echo.get(), { value });

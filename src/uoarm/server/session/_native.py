@@ -291,6 +291,7 @@ class NativeSession:
             ],
             "inputs": [port.name for port in plan.provider.component.inputs if port.source is None],
             "warnings": self._view.data(plan.warnings, plan.function),
+            "output": stream.connection.output if wanted.receive else None,
             "lifetimes": dict(stream.connection.lifetimes()),
             "latched": stream.feed.is_latched,
             "managers": self._managers(plan),

@@ -39,6 +39,8 @@ export class HeldCommand {
 export class Stream<T = Message> implements AsyncIterable<T> {
   readonly connection: string;
   readonly inputs: readonly string[];
+  /** What is received; null where there is nothing to receive, undefined where the server is older. */
+  readonly output?: string | null;
   readonly warnings: readonly string[];
   /** Messages that did not get here, as gaps in their numbers. */
   readonly lost: number;
@@ -53,7 +55,8 @@ export class Stream<T = Message> implements AsyncIterable<T> {
   [Symbol.asyncIterator](): AsyncIterator<T, undefined>;
   /**
    * The next message, or undefined when no more will come; rejects when the function failed, and
-   * with the code `timeout` where none came in `timeout` seconds; see `trouble`.
+   * with the code `timeout` where none came in `timeout` seconds; see `trouble`; and with the code
+   * `usage` where there is no output to read.
    */
   get(options?: { timeout?: number }): Promise<T | undefined>;
   /** Seconds for which a command lives, by input; of those that have a lifetime. */

@@ -152,8 +152,8 @@ export class Stream {
   }
 
   /** Is a connection of this server from now on; the first time, or after a gap. */
-  open({ connection, inputs, warnings, lifetimes = {}, number }) {
-    Object.assign(this, { connection, inputs, warnings, lifetimes });
+  open({ connection, inputs, output, warnings, lifetimes = {}, number }) {
+    Object.assign(this, { connection, inputs, output, warnings, lifetimes });
     this.gaps += 1;
     this.#last = number;
     this.#away = false;
@@ -165,7 +165,7 @@ export class Stream {
   }
 
   [Symbol.asyncIterator]() {
-    return { next: () => this.#mailbox.next(), return: async () => {
+    return { next: () => this.#next(), return: async () => {
       await this.kill();
       return { value: undefined, done: true };
     } };
@@ -176,7 +176,7 @@ export class Stream {
    * rejects, and `trouble` says what keeps messages from coming, as far as the server says it soon.
    */
   async get({ timeout } = {}) {
-    let item = await this.#mailbox.next(timeout ?? Infinity);
+    let item = await this.#next(timeout ?? Infinity);
     if (item === undefined) {
       const trouble = timeout > 0 ? await this.#diagnose(this.connection) : [];
       if (this.#mailbox.isEmpty) {
@@ -189,6 +189,11 @@ export class Stream {
     }
     this.trouble = [];
     return item.value;
+  }
+
+  async #next(seconds) {
+    if (this.output === null) throw new UoarmError("usage", `function ${this.request.type} has no output to read`);
+    return this.#mailbox.next(seconds);
   }
 
   /** Hand one message to an input; resolves when the server has taken it. */
@@ -289,8 +294,8 @@ const REVISION = { revision: "number", differences: ["text"], text: "text" };
 // By the question: its op, and what it has that makes it another one. A service replies anything.
 const ANSWERS = {
   Request: {
-    connection: "text", inputs: ["text"], warnings: ["text"], "lifetimes?": { "*": "number" },
-    "number?": "number|null",
+    connection: "text", inputs: ["text"], "output?": "text|null", warnings: ["text"],
+    "lifetimes?": { "*": "number" }, "number?": "number|null",
   },
   List: {
     functions: [{
