@@ -18,7 +18,7 @@ from tests.server.robot import END, script
 from tests.server.talk import BESIDE, SECONDS, eventually
 from tests.server.test_serving import figures, page
 
-from uoarm import ConnectionClosedError, QueuePolicy, RobotManager
+from uoarm import BridgeTimeoutError, ConnectionClosedError, QueuePolicy, RobotManager
 from uoarm.client import RemoteRobot, connect
 from uoarm.model import Message
 from uoarm.server import Limits, Server
@@ -237,6 +237,18 @@ async def test_what_is_asked_while_it_is_down_waits(server: Server, between: Bet
             await asyncio.sleep(0)
             proxy.admit()
         assert [(await task)["value"] for task in asking] == list(range(1, 10))
+
+
+async def test_what_runs_out_of_time_while_it_is_down_says_why(
+    server: Server, between: Between
+) -> None:
+    proxy = between(server)
+    async with joined(proxy, answer=0.2) as client:
+        proxy.cut(admit=False)
+        await until(lambda: "again" in client._link.trouble)
+        text = r"has not answered Status within 0\.2 s; .*connecting again"
+        with pytest.raises(BridgeTimeoutError, match=text):
+            await client.status()
 
 
 async def test_a_server_that_has_not_noticed_the_drop_lets_go(

@@ -366,7 +366,7 @@ class RemoteRobot(ServerQuestions):
         self._asked[identity] = _PendingRequest(fields, answer, renewed)
         seconds = self._answer_seconds + _given_seconds(fields)
         what = f"{op} {kind}".rstrip()
-        timer = loop.call_later(seconds, _fail_late, answer, what, seconds)
+        timer = loop.call_later(seconds, self._fail_late, answer, what, seconds)
         try:
             # Of a request always, so that it is known of commands by how much they are later.
             timed = {"x-sent": boot_seconds()} if op == "Request" else {}
@@ -376,7 +376,7 @@ class RemoteRobot(ServerQuestions):
         except asyncio.TimeoutError as error:
             if isinstance(error, errors.UoarmError):
                 raise
-            raise _late(what, seconds) from error
+            raise self._late(what, seconds) from error
         except asyncio.CancelledError:
             # The answer came before, in the same turn of the loop: what it opened has no user.
             is_answered = answer.done() and not answer.cancelled()
@@ -523,18 +523,18 @@ class RemoteRobot(ServerQuestions):
                 self._streams.pop(received["type"], None)
             asked.answer.set_result(message)
 
+    def _fail_late(self, answer: asyncio.Future[Any], what: str, seconds: float) -> None:
+        if not answer.done():
+            answer.set_exception(self._late(what, seconds))
+
+    def _late(self, what: str, seconds: float) -> errors.BridgeTimeoutError:
+        trouble = f"; {self._link.trouble}" if self._link.trouble else ""
+        text = f"the server has not answered {what} within {seconds:g} s{trouble}"
+        return errors.BridgeTimeoutError(text)
+
 
 def _given_seconds(fields: Mapping[str, Any]) -> float:
     """Return how long the server may take since the question says so."""
     options = fields.get("jsonMessage") if fields["op"] == "Request" else None
     given = options.get("wait") if isinstance(options, Mapping) else fields.get("x-timeout")
     return given if isinstance(given, int | float) else 0.0
-
-
-def _fail_late(answer: asyncio.Future[Any], what: str, seconds: float) -> None:
-    if not answer.done():
-        answer.set_exception(_late(what, seconds))
-
-
-def _late(what: str, seconds: float) -> errors.BridgeTimeoutError:
-    return errors.BridgeTimeoutError(f"the server has not answered {what} within {seconds:g} s")

@@ -68,6 +68,7 @@ class Link:
     Attributes:
         session: how many sessions were begun after the first.
         most: octets of a message that the server takes; None: it has not said so yet.
+        trouble: why the connection dropped and is not there again yet; "": it is.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class Link:
         self.session = 0
         self.most: int | None = None
         self.closed = ""
+        self.trouble = ""
 
     async def start(self, *, resume: bool) -> None:
         """Connect; with `resume` ask the server to keep the session over drops."""
@@ -283,12 +285,12 @@ class Link:
         """
         loop = asyncio.get_running_loop()
         deadline, failed = loop.time() + seconds, 0
-        why = cause
+        why = self.trouble = cause
         while loop.time() < deadline:
             try:
                 refused = await result_within(deadline - loop.time(), attempt())
             except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
-                why = f"{cause}; connecting again failed: {error}"
+                why = self.trouble = f"{cause}; connecting again failed: {error}"
                 if isinstance(error, InvalidStatus) and (
                     error.response.status_code not in _TRY_AGAIN
                 ):
@@ -299,6 +301,7 @@ class Link:
                 self._is_final = True
                 return f"{cause}; {_strange(error)}"
             else:
+                self.trouble = ""
                 return f"{cause}; {refused}" if refused else ""
         return why
 

@@ -64,6 +64,19 @@ test("why a connection ended has no empty reason", async () => {
   await assert.rejects(waiting, { code: "closed", message: "the connection ended (1006)" });
 });
 
+test("what runs out of time while the connection is down says why it is", async () => {
+  const connecting = connect("ws://x/", { WebSocket: Socket, answer: 0.05 });
+  const first = Socket.made.at(-1);
+  first.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  first.deliver({ op: "Reply", id: "keep", jsonMessage: { key: "key", seconds: 5 } });
+  first.onclose({ code: 1006, reason: "" });
+  Socket.made.at(-1).onerror();
+  const text = "the server has not answered Status within 0.05 s; the connection ended (1006); connecting again: ";
+  await assert.rejects(robot.status(), ({ code, message }) => code === "timeout" && message.startsWith(text));
+  robot.close();
+});
+
 test("giving back what has just ended at the server is no failure", async () => {
   const connecting = connect("ws://x/", { WebSocket: Socket, resume: false, reconnect: 0 });
   const socket = Socket.made.at(-1);

@@ -118,6 +118,7 @@ export class Link {
   #wake = () => {};
   resumed = 0;
   restarts = 0;
+  trouble = "";  // why the connection ended, and is not there again yet
   most = Infinity;  // octets of a message that the server takes
 
   constructor({ open, form, timeout, resume, reconnect, take, lost, begun, wentOn, ended }) {
@@ -230,13 +231,17 @@ export class Link {
   async #retry(error, seconds, attempt) {
     const deadline = Date.now() + seconds * 1000;
     let why = error;
+    const trouble = () => `${error.message}; connecting again: ${why.message}`;
+    this.trouble = error.message;
     for (let pause = FIRST_PAUSE; Date.now() < deadline && !this.#over;
       pause = Math.min(2 * pause, LONGEST_PAUSE)) {
       try {
         await attempt(Math.min(this.#timeout, (deadline - Date.now()) / 1000));
+        this.trouble = "";
         return null;
       } catch (refused) {
         why = refused;
+        this.trouble = trouble();
         if (refused.code !== "closed") break;
       }
       await new Promise((wake) => {
@@ -244,7 +249,7 @@ export class Link {
         setTimeout(wake, pause * (0.5 + Math.random() / 2));
       });
     }
-    return new UoarmError("closed", `${error.message}; connecting again: ${why.message}`);
+    return new UoarmError("closed", trouble());
   }
 
   /** What was asked of the session that is gone is not asked of the new one; what is asked meanwhile is. */

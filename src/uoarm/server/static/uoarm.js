@@ -575,7 +575,8 @@ export class Robot {
     if (op === "Request") this.#abandoned.add(id);
     if (op === "Call") this.#ask({ op: "Kill", type: id, jsonMessage: { call: true } }).catch(() => {});
     const what = type === undefined ? op : `${op} ${type}`;
-    reject(new UoarmError("timeout", `the server has not answered ${what} within ${seconds} s`));
+    const text = [`the server has not answered ${what} within ${seconds} s`, this.#link.trouble];
+    reject(new UoarmError("timeout", text.filter(Boolean).join("; ")));
   }
 
   #forget(id) {
