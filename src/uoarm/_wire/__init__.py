@@ -12,6 +12,8 @@ from uoarm._wire._forms import (
     Form,
     check_asked,
     protocol_schema,
+    reply_around,
+    reply_to,
     salvage_id,
     write_or_error,
 )
@@ -30,6 +32,8 @@ __all__ = [
     "protocol_schema",
     "read_binary",
     "read_text",
+    "reply_around",
+    "reply_to",
     "salvage_id",
     "viewer_schema",
     "write_binary",

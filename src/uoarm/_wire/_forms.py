@@ -199,6 +199,20 @@ def _fields(value: Any) -> Mapping[str, Any]:
     raise ControlMessageError(f"expected an object, got {type(value).__name__}")
 
 
+def reply_to(asked: ControlMessage, message: Message) -> dict[str, Any]:
+    """Return the fields of a Reply."""
+    reply: dict[str, Any] = {"op": "Reply", "type": asked.type, "id": asked.id}
+    if message is not None:
+        reply["jsonMessage"] = message
+    return reply
+
+
+def reply_around(form: Form, asked: ControlMessage, written: bytes) -> bytes:
+    """Return a Reply on the wire whose message is written already."""
+    parts = {name: form.write(value) for name, value in reply_to(asked, None).items()}
+    return form.map_of({**parts, "jsonMessage": written})
+
+
 def write_or_error(form: Form, reply: Mapping[str, Any]) -> bytes:
     """Return an answer on the wire; where its message has no form, an Error that says so."""
     try:

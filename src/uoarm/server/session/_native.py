@@ -15,7 +15,7 @@ from uoarm._control import Connection
 from uoarm._raised import LimitedLog
 from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
-from uoarm._wire import Form, check_asked, salvage_id, write_or_error
+from uoarm._wire import Form, check_asked, reply_around, reply_to, salvage_id, write_or_error
 from uoarm.bridge import asking, boot_seconds, refuse_loop
 from uoarm.config import completed_schema
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
@@ -407,7 +407,7 @@ class NativeSession:
 
         report, written = await self._registry.stop_all(key, write)
         self._client.note_stop(report)
-        self._emit_frame(asked.id, _reply_around(self._form, asked, written), first=True)
+        self._emit_frame(asked.id, reply_around(self._form, asked, written), first=True)
 
     async def _release(self, asked: ControlMessage) -> None:
         try:
@@ -456,7 +456,7 @@ class NativeSession:
 
     async def _emit_view(self, asked: ControlMessage, written: bytes) -> None:
         """Send an answer that may be long, when there is room: the client did not choose that."""
-        frame = _reply_around(self._form, asked, written)
+        frame = reply_around(self._form, asked, written)
         await self._client.outbox.room(len(frame))
         self._emit_frame(asked.id, frame)
 
@@ -556,11 +556,11 @@ class NativeSession:
         self._fail(asked.id, str(asked.type), error, more)
 
     def _reply(self, asked: ControlMessage, message: Message) -> None:
-        self._emit(_reply_of(asked, message))
+        self._emit(reply_to(asked, message))
 
     def _written(self, asked: ControlMessage, message: Message) -> bytes:
         """Write a reply in a worker, which waits where that takes long."""
-        write = functools.partial(write_or_error, self._form, _reply_of(asked, message))
+        write = functools.partial(write_or_error, self._form, reply_to(asked, message))
         return self._registry.encoder.wait(message, write)
 
     def _fail(
@@ -594,17 +594,3 @@ class NativeSession:
         if self._replies is not None and identity is not None:
             self._replies.add(identity, frame)
         self._client.outbox.reply(frame, text=self._form.text, first=first)
-
-
-def _reply_around(form: Form, asked: ControlMessage, written: bytes) -> bytes:
-    """Return a reply whose message is written already."""
-    head = {"op": "Reply", "type": asked.type, "id": asked.id}
-    parts = {name: form.write(value) for name, value in head.items()}
-    return form.map_of({**parts, "jsonMessage": written})
-
-
-def _reply_of(asked: ControlMessage, message: Message) -> dict[str, Any]:
-    reply: dict[str, Any] = {"op": "Reply", "type": asked.type, "id": asked.id}
-    if message is not None:
-        reply["jsonMessage"] = message
-    return reply
