@@ -59,10 +59,15 @@ def joined(server: Server, **options: Any) -> AbstractAsyncContextManager[Remote
 
 
 @FORMS
-async def test_messages_come_and_gaps_are_counted(server: Server, binary: bool) -> None:
+@pytest.mark.parametrize(
+    "strange", [object(), {1: 2}, {1.5}, 1j], ids=["object", "names", "set", "complex"]
+)
+async def test_messages_come_and_gaps_are_counted(
+    server: Server, binary: bool, strange: object
+) -> None:
     async with joined(server, binary=binary) as client:
         stream = await client.request("numbers", queue=QueuePolicy(length=100))
-        script.put({"value": 1}, {"value": object()}, {"value": 3}, END)
+        script.put({"value": 1}, {"value": strange}, {"value": 3}, END)
         assert [message["value"] async for message in stream] == [1, 3]
         assert stream.lost == 1
         with pytest.raises(ConnectionClosedError, match="finished"):

@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
 from array import array
-from datetime import datetime, timezone
+from collections import OrderedDict
+from datetime import date, datetime, timezone
+from decimal import Decimal
 from enum import Enum
+from fractions import Fraction
+from ipaddress import (
+    IPv4Address,
+    IPv4Interface,
+    IPv4Network,
+    IPv6Address,
+    IPv6Interface,
+    IPv6Network,
+)
 from typing import Any
 from uuid import UUID
 
@@ -77,6 +89,20 @@ OTHERS = (
     UUID(int=1),
     Kind.A,
     {1: 2},
+    OrderedDict({None: 1}),
+    {1, 2},
+    frozenset("a"),
+    Decimal(1),
+    Fraction(1, 2),
+    1j,
+    np.ones(2, complex),
+    date(2026, 1, 1),
+    re.compile("a"),
+    *(make("127.0.0.1") for make in (IPv4Address, IPv4Network, IPv4Interface)),
+    *(make("::1") for make in (IPv6Address, IPv6Network, IPv6Interface)),
+    cbor2.undefined,
+    cbor2.CBORSimpleValue(5),
+    cbor2.CBORTag(0, 1),
     object(),
 )
 
@@ -92,6 +118,17 @@ def test_what_is_written_quickly_is_what_all_encoders_write(value: Any) -> None:
             return None
 
     assert write(quickly=True) == write(quickly=False)
+
+
+@pytest.mark.parametrize("value", OTHERS, ids=lambda value: type(value).__name__)
+@pytest.mark.parametrize("beside", ["", b"a" * 5_000], ids=["small", "large"])
+def test_what_a_client_cannot_read_is_not_written(value: object, beside: object) -> None:
+    for message in ([value], {"value": {"value": value}, "beside": beside}):
+        with contextlib.suppress(MessageError):
+            read(write_binary(message))
+    if isinstance(value, dict):
+        with pytest.raises(MessageError, match="names must be strings"):
+            write_binary({**value, "beside": beside})
 
 
 @pytest.mark.parametrize("code", list("bBhHiIqQfd"))
@@ -199,6 +236,7 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
 
 
 OURS = cbor2.CBORTag(_CUT_TAG, 0)
+ARRAYS: dict[Any, Any] = {array: _ENCODERS[array]}
 
 
 @given(
@@ -206,7 +244,7 @@ OURS = cbor2.CBORTag(_CUT_TAG, 0)
     | st.recursive(
         values | st.sampled_from([OURS, array("f", [1.0, 2.0]), np.arange(3)]),
         lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.binary(), inner, max_size=2),
-    ).map(lambda value: cbor2.dumps(value, encoders=_ENCODERS, default=_encode_other))
+    ).map(lambda value: cbor2.dumps(value, encoders=ARRAYS, default=_encode_other))
 )
 def test_octets_that_are_cut_out_change_nothing(data: bytes) -> None:
     found = []

@@ -6,9 +6,23 @@ import re
 import struct
 import sys
 from array import array
+from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from datetime import date, datetime
+from decimal import Decimal
+from fractions import Fraction
 from io import BytesIO
+from ipaddress import (
+    IPv4Address,
+    IPv4Interface,
+    IPv4Network,
+    IPv6Address,
+    IPv6Interface,
+    IPv6Network,
+)
 from typing import Any, TypeAlias
+from uuid import UUID
 
 import cbor2
 import orjson
@@ -89,6 +103,7 @@ _PLAIN = (
 )
 _MAX_BITS = 3072
 _MULTIPLE_DIMENSIONS = 40
+_UUID_HEAD = b"\xd8\x25\x50"
 # Tag to (typecode, big-endian): the numbers of RFC 8746, section 2.1, of sizes that `array` has.
 _TYPED = {
     64: ("B", False), 65: ("H", True), 66: ("I", True), 67: ("Q", True), 68: ("B", False),
@@ -220,11 +235,12 @@ def _dumps(value: Any) -> bytes:
     # With encoders of ours the library takes four times as long, for each value that is none of
     # theirs. Whether there is one of theirs a writer of JSON says in a fifth of its time; without
     # them the library would take a buffer for a list.
-    try:
+    with suppress(TypeError, cbor2.CBOREncodeError):
         orjson.dumps(value, option=_PLAIN)
-        return cbor2.dumps(value)
-    except (TypeError, cbor2.CBOREncodeError):
-        return cbor2.dumps(value, encoders=_ENCODERS, default=_encode_other)
+        made = cbor2.dumps(value)
+        if _UUID_HEAD not in made:  # of what that writer takes, all else that no message has
+            return made
+    return cbor2.dumps(value, encoders=_ENCODERS, default=_encode_other)
 
 
 def _has_large(message: Mapping[str, Any]) -> bool:
@@ -245,6 +261,8 @@ def _write_parts(message: Mapping[str, Any], parts: list[Any]) -> None:
     """
     parts.append(_head(5, len(message)))
     for key, value in message.items():
+        if not isinstance(key, str):
+            raise TypeError("names must be strings")
         parts.append(_dumps(key))
         if isinstance(value, bytes | bytearray | memoryview) and len(value) >= _LARGE:
             octets = value
@@ -272,6 +290,17 @@ def _head(major: int, count: int) -> bytes:
     return bytes([major << 5 | 27]) + count.to_bytes(8, "big")
 
 
+def _encode_map(encoder: cbor2.CBOREncoder, value: Mapping[Any, Any]) -> None:
+    if not set(map(type, value)) <= {str} and not all(isinstance(name, str) for name in value):
+        raise MessageError("names must be strings")
+    encoder.encode_map(value)
+
+
+def _encode_foreign(encoder: cbor2.CBOREncoder, value: Any) -> None:
+    del encoder
+    raise MessageError(f"a value of type {type(value).__name__}")
+
+
 def _encode_octets(encoder: cbor2.CBOREncoder, value: Any) -> None:
     encoder.encode(value.tobytes())
 
@@ -294,11 +323,11 @@ def _encode_other(encoder: cbor2.CBOREncoder, value: Any) -> None:
         octets = value.astype(value.dtype.newbyteorder("<"), copy=False).tobytes()
         _encode_typed(encoder, value.dtype.kind, value.dtype.itemsize, octets)
     else:
-        encoder.encode(cbor2.CBORTag(_MULTIPLE_DIMENSIONS, [list(value.shape), value.ravel()]))
+        encoder.encode_semantic(_MULTIPLE_DIMENSIONS, [list(value.shape), value.ravel()])
 
 
 def _encode_typed(encoder: cbor2.CBOREncoder, kind: str, size: int, octets: bytes) -> None:
-    encoder.encode(cbor2.CBORTag(_LITTLE_TAGS[kind, size], octets))
+    encoder.encode_semantic(_LITTLE_TAGS[kind, size], octets)
 
 
 def _little(value: array[Any]) -> array[Any]:
@@ -402,7 +431,18 @@ def _examine(value: Any, spending: BudgetUse, allowed: set[type]) -> None:
         level = inner
 
 
-_ENCODERS: dict[Any, Any] = {memoryview: _encode_octets, array: _encode_array}
+# What the library would write, and no reader of messages takes.
+_FOREIGN_TYPES = (
+    set, frozenset, complex, date, datetime, Decimal, Fraction, UUID, re.Pattern,
+    IPv4Address, IPv6Address, IPv4Network, IPv6Network, IPv4Interface, IPv6Interface,
+    cbor2.CBORTag, cbor2.CBORSimpleValue, type(cbor2.undefined),
+)  # fmt: skip
+_ENCODERS: dict[Any, Any] = {
+    **dict.fromkeys(_FOREIGN_TYPES, _encode_foreign),
+    **dict.fromkeys((dict, defaultdict, OrderedDict), _encode_map),
+    memoryview: _encode_octets,
+    array: _encode_array,
+}
 _DECODERS: dict[int, Any] = {
     **dict.fromkeys(_FOREIGN, _refuse),
     **{tag: _typed_reader(code, big=big) for tag, (code, big) in _TYPED.items()},
