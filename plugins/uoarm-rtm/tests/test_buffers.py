@@ -9,13 +9,21 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
+from _uoarm_rtm_stubs import RTC
 from endpoints import endpoint, sink, source, stamped
 from hypothesis import given
 from hypothesis import strategies as st
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
-from uoarm_rtm._dataflow import Buffer
-from uoarm_rtm._options import BufferPolicy, RtmEndpointOptions, buffer_policy, push_policy
+from uoarm_rtm._dataflow import Buffer, ThreadedPusher
+from uoarm_rtm._options import (
+    BufferPolicy,
+    PushPolicy,
+    RtmEndpointOptions,
+    buffer_policy,
+    push_policy,
+)
+from uoarm_rtm._peer import pairs
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
@@ -346,3 +354,88 @@ def test_a_wrong_policy_is_refused_by_our_own_port(
     assert talker.connect(nameserver, "Listener.rtc", "in", wrong) == "BAD_PARAMETER"
     assert [talker.connectors(), listener.connectors()] == [[0, 0], [0, 0]]
     assert talker.connect(nameserver, "Listener.rtc", "in", asked) == "RTC_OK"
+
+
+@pytest.mark.parametrize(
+    ("push", "unsent"),
+    [
+        (PushPolicy("all"), 5),
+        (PushPolicy("fifo"), 5),
+        (PushPolicy("new"), 2),
+        (PushPolicy("skip", 1), 2),
+    ],
+    ids=str,
+)
+def test_what_waits_to_be_pushed_is_known_also_when_it_is_over(
+    push: PushPolicy, unsent: int
+) -> None:
+    reached, go = threading.Event(), threading.Event()
+
+    def put(_: bytes) -> None:
+        reached.set()
+        assert go.wait(patience())
+
+    pusher = ThreadedPusher(put, BufferPolicy(8), push)
+    if push.which == "skip":
+        pusher.write(b"0")  # the first is left out
+    pusher.write(b"1")
+    assert reached.wait(patience())
+    for number in range(4):
+        pusher.write(bytes([number]))
+    unsent += push.which == "skip"
+    assert pusher.unsent == unsent
+    pusher.close()
+    go.set()
+    assert pusher.unsent in {unsent, unsent - 1}, "the one under way may have arrived"
+    assert not pusher.dropped
+
+
+def test_what_waits_before_an_in_port_is_under_way_and_lost_with_it(
+    bridge: Bridge, peer: Start
+) -> None:
+    listener = peer("Listener")
+    at = endpoint(*IN, subscription="new", push_policy="all", activate=True, timeout=patience())
+    into = sink(bridge, at)
+    listener.hold()
+    into.send(stamped(0))
+    wait(listener.held)
+    for number in range(1, 4):
+        into.send(stamped(number))
+    assert into.facts()["under_way"] == 4
+    listener.kill()
+    wait(lambda: into.facts()["lost_on_link"])
+    into.close()
+    wait(lambda: sum(into.facts()[name] for name in ("under_way", "lost_on_link")) == 4)
+
+
+def test_what_waits_for_a_reader_of_ours_is_dropped_as_it_ends(bridge: Bridge) -> None:
+    made: Any = bridge
+    into = sink(bridge, endpoint(Role.INPUT, "self", "said", "RTC::TimedLong"))
+    port = made._own.component.ports[0]
+    pull = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "pull"}
+    profile = RTC.ConnectorProfile("reader", "reader", [port.reference], pairs(pull))
+    assert port.connect(profile)[0] == RTC.RTC_OK
+    for number in range(3):
+        into.send(stamped(number))
+    assert into.facts()["dropped"] == 0
+    assert port.disconnect("reader") == RTC.RTC_OK
+    assert into.facts()["dropped"] == 3
+
+
+def test_without_a_thread_nothing_stays_connected(
+    bridge: Bridge, peer: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = threading.Thread.start
+
+    def no_more(thread: threading.Thread) -> None:
+        if thread.name in {"uoarm-rtm-pull", "uoarm-rtm-push"}:
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    component = peer("Talker")
+    monkeypatch.setattr(threading.Thread, "start", no_more)
+    with pytest.raises(BridgeError, match="can't start new thread"):
+        source(bridge, endpoint(*OUT, flow="pull"), Inbox())
+    with pytest.raises(BridgeError, match="can't start new thread"):
+        sink(bridge, endpoint(Role.INPUT, "Talker.rtc", "in", subscription="new"))
+    assert component.connectors() == [0, 0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,12 @@ from endpoints import HANGS_AFTER, endpoint, sink, source, stamped
 from jsonschema import Draft202012Validator
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
-from uoarm_rtm import _bridge
+from uoarm_rtm import _bridge, _services
+from uoarm_rtm._orb import Orb, corba_errors
 from uoarm_rtm._own_component import OwnComponent
 from uoarm_rtm._peer import pairs
 from uoarm_rtm._services import OperationCaller
+from uoarm_rtm.component import ComponentProfile, RtComponent, Types
 from uoarm_rtm.errors import IdlError
 
 from uoarm.bridge import Bridge, ServiceStructures
@@ -126,6 +128,30 @@ def test_a_component_that_is_busy_with_many_calls_does_not_hang(
     robot.wake()
     for call in calling:
         call.result()
+
+
+def test_each_call_has_the_limit_that_it_came_with(
+    make_bridge: Make, robot: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bridge = make_bridge(idl=IDL)
+    sleep = endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::sleep")
+    assert bridge.call(sleep, {"seconds": 0.0}, timeout=patience()) == {}
+    reached, go = threading.Event(), threading.Event()
+
+    def first_waits(what: str) -> Any:
+        if not reached.is_set():
+            reached.set()
+            assert go.wait(patience())
+        return corba_errors(what)
+
+    monkeypatch.setattr(_services, "corba_errors", first_waits)
+    calling = Background(lambda: bridge.call(sleep, {"seconds": 0.5}, timeout=patience()))
+    assert reached.wait(patience())
+    with pytest.raises(BridgeTimeoutError):
+        bridge.call(sleep, {"seconds": patience()}, timeout=0.1)
+    go.set()
+    assert calling.result() == {}
+    robot.wake()
 
 
 def test_a_service_that_came_back_is_reached_again(make_bridge: Make, peer: Start) -> None:
@@ -429,6 +455,61 @@ def test_what_is_sent_while_an_out_port_of_ours_is_disconnected_leaves_no_end_be
     into.send(stamped(1))
     assert port.disconnect("tool") == RTC.RTC_OK
     assert listener.connectors() == [0, 0]
+
+
+@pytest.fixture
+def own() -> Iterator[RtComponent]:
+    orb = Orb("127.0.0.1", call_seconds=patience())
+    component = RtComponent(orb, ComponentProfile("Own"), rate=1e-3, seconds=patience())
+    yield component
+    component.close()
+    orb.close()
+
+
+ENDS: dict[str, Callable[[Any], object]] = {
+    "disconnected": lambda port: port.notify_disconnect("made"),
+    "closed": lambda port: port.close(),
+    "without a thread": lambda _: (_ for _ in ()).throw(RuntimeError("can't start new thread")),
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("flow", ["push", "pull"])
+def test_a_connection_that_ends_while_it_is_made_leaves_nothing(
+    own: RtComponent, monkeypatch: pytest.MonkeyPatch, flow: str, end: str
+) -> None:
+    out = own.add_out_port("out", "RTC::TimedLong", Types())
+    into = own.add_in_port("in", "RTC::TimedLong", Types(), print, rate=1000.0)
+    ports: list[Any] = [out, into] if flow == "push" else [into, out]
+    subscribe = ports[0]._subscribe
+
+    def late(profile: Any) -> None:
+        ENDS[end](ports[0])
+        subscribe(profile)
+
+    properties = {**PUSH, "dataport.dataflow_type": flow, "dataport.subscription_type": "new"}
+    references = [port.reference for port in ports]
+    monkeypatch.setattr(ports[0], "_subscribe", late)
+    profile = RTC.ConnectorProfile("made", "made", references, pairs(properties))
+    assert ports[0].connect(profile)[0] == RTC.RTC_ERROR
+    monkeypatch.undo()
+    for port in ports:
+        assert port.get_connector_profiles() == []
+        assert not port._making
+    assert (out._outlets, into._inlets, into._pullers) == ({}, {}, {})
+    code, _ = ports[0].connect(RTC.ConnectorProfile("made", "made", references, pairs(properties)))
+    assert (code == RTC.RTC_OK) is (end != "closed")
+
+
+def test_a_context_has_each_rate_at_once_and_none_that_is_none(own: RtComponent) -> None:
+    context = own._context
+    for rate in (0.0, -1.0, 1e-300, 1e300, float("inf"), float("nan")):
+        assert context.set_rate(rate) == RTC.BAD_PARAMETER
+    steps: list[None] = []
+    object.__setattr__(own.lifecycle._callbacks, "executed", lambda: steps.append(None))
+    own.lifecycle.activate()
+    assert context.set_rate(1000.0) == RTC.RTC_OK
+    wait(lambda: len(steps) > 1)
 
 
 def test_another_manager_uses_our_ports_as_those_of_any_component(make_bridge: Make) -> None:

@@ -155,7 +155,7 @@ class OutPortSource(Source):
             self._connector = remote.connections.connect(remote.where, properties, remote.port)
             if self._inlet is None:
                 self._begin_pulling()
-        except BridgeError:
+        except BaseException:
             self._withdraw()
             raise
 
@@ -198,14 +198,19 @@ class OutPortSource(Source):
         remote = self._remote
         requested = remote.options.requested_properties
         self._longest += buffer_policy(requested, "outport").longest_read
-        self._puller = Puller(
-            _reached(remote, self._connector, OUTPORT_IOR, OpenRTM.OutPortCdr, self._longest),
-            remote.options.rate,
-            repeats=says_what_empty_means(requested),
-            take=self.receive,
-            lost=self._lost,
-            missed=self._missed,
-        )
+        target = _reached(remote, self._connector, OUTPORT_IOR, OpenRTM.OutPortCdr, self._longest)
+        try:
+            self._puller = Puller(
+                target,
+                remote.options.rate,
+                repeats=says_what_empty_means(requested),
+                take=self.receive,
+                lost=self._lost,
+                missed=self._missed,
+            )
+        except BaseException:  # the system gives no more threads
+            self._connector.disconnect()
+            raise
 
     def _missed(self, error: CORBA.Exception) -> None:
         text = (
@@ -264,17 +269,17 @@ class InPortSink(Sink):
             self._buffer = PullBuffer(self._policy)
             self._outlet = remote.orb.serve(self._buffer)
             properties[OUTPORT_IOR] = remote.orb.text(self._outlet)
+        elif remote.options.subscription != "flush":  # before there is a connection: it may fail
+            push, period = push_policy(requested), remote.options.period
+            self._buffer = ThreadedPusher(self._push, self._policy, push, period)
         try:
             self._connector = remote.connections.connect(remote.where, properties, remote.port)
             if not pulls:
                 inlet = INPORT_IOR, OpenRTM.InPortCdr
                 self._target = _reached(remote, self._connector, *inlet, self._longest)
-        except BridgeError:
+        except BaseException:
             self._withdraw()
             raise
-        if not pulls and remote.options.subscription != "flush":
-            push, period = push_policy(requested), remote.options.period
-            self._buffer = ThreadedPusher(self._push, self._policy, push, period)
         self.blocking = self._buffer is None or self._policy.full == "block"
 
     def _send(self, message: Message) -> None:
@@ -312,6 +317,8 @@ class InPortSink(Sink):
             unasked = self._buffer.waiting if self._outlet is not None and self.health.lost else 0
             lost = self._lost_on_link + unasked
             facts |= {"dropped": self._buffer.dropped, "lost_on_link": lost}
+            if self._outlet is None:
+                facts["under_way"] = self._buffer.unsent
         return facts
 
     def _require_open(self) -> None:

@@ -283,6 +283,6 @@ class OutPort(_DataPort):
         outlet = self._outlets.pop(connector_id, None)
         if outlet is not None:
             outlet.writer.close()
-            self._dropped_before += outlet.dropped
+            self._dropped_before += outlet.dropped + outlet.writer.unsent
             if outlet.reference is not None:
                 self.orb.withdraw(outlet.reference)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
@@ -106,6 +106,11 @@ class Buffer:
         """Messages that wait now."""
         return len(self._waiting)
 
+    @property
+    def unsent(self) -> int:
+        """Messages that wait and would have been sent."""
+        return self.waiting
+
     def write(self, data: bytes) -> bool:
         """Keep one message; returns whether it was taken.
 
@@ -187,6 +192,8 @@ class Pusher:
             to be notified of the end.
     """
 
+    unsent = 0  # what waits, waits before it
+
     def __init__(self, target: Any, sizes: SizeLimit, lost: Callable[[], None]) -> None:
         self.dropped = 0
         self._target = target
@@ -253,8 +260,10 @@ class ThreadedPusher(Buffer):
         super().__init__(policy)
         self._put = put
         self._push = push
+        self._every = push.skipped + 1 if push.which == "skip" else 1
         self._period = period
         self._passed = 0
+        self._left = 0  # of what was taken to be sent
         self._ended = threading.Event()
         threading.Thread(target=self._run, name="uoarm-rtm-push", daemon=True).start()
 
@@ -263,23 +272,32 @@ class ThreadedPusher(Buffer):
         self._ended.set()
         super().close()
 
+    @property
+    def unsent(self) -> int:
+        """How many messages are to be sent, of those that wait or were taken for it."""
+        with self._changed:
+            waiting = len(self._waiting) if self._push.which != "new" else bool(self._waiting)
+            return (
+                self._left + (self._passed + waiting) // self._every - self._passed // self._every
+            )
+
     def _run(self) -> None:
         most = 1 if self._push.which == "fifo" else None
         while waiting := self.take(most):
-            for data in self._chosen(waiting):
+            chosen = self._chosen(waiting)
+            for index, data in enumerate(chosen):
+                self._left = len(chosen) - index
                 if self._ended.is_set():
                     return
                 self._put(data)
+            self._left = 0
             self._ended.wait(self._period)
 
-    def _chosen(self, waiting: Sequence[bytes]) -> Iterator[bytes]:
+    def _chosen(self, waiting: Sequence[bytes]) -> list[bytes]:
         if self._push.which == "new":
             waiting = waiting[-1:]
-        every = self._push.skipped + 1 if self._push.which == "skip" else 1
-        for data in waiting:
-            self._passed += 1
-            if self._passed % every == 0:
-                yield data
+        first, self._passed = self._passed + 1, self._passed + len(waiting)
+        return [data for number, data in enumerate(waiting, first) if number % self._every == 0]
 
 
 class PullBuffer(Buffer, OpenRTM__POA.OutPortCdr):  # type: ignore[misc]  # generated

@@ -20,6 +20,7 @@ from _uoarm_rtm_stubs import RTC, RTC__POA
 from attrs import frozen
 from omniORB import CORBA
 
+from uoarm.bridge import text_of
 from uoarm.cdr import ByteOrder
 from uoarm_rtm._options import BufferPolicy, PushPolicy, buffer_policy, push_policy
 from uoarm_rtm._orb import Orb, calls, limit
@@ -153,10 +154,13 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         self._profiles: dict[str, Any] = {}
         # Not shown before they are made: components of 1.2 take them for a second connection.
         self._making: dict[str, Any] = {}
+        self._is_closed = False
         self.reference = orb.serve(self)
 
     def close(self) -> None:
-        """Disconnect everything, then stop serving."""
+        """Disconnect everything, then stop serving; what is being made ends as it is made."""
+        with self._lock:
+            self._is_closed = True
         self.disconnect_all()
         self.orb.withdraw(self.reference)
 
@@ -200,7 +204,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         """Take part in a connection (CORBA operation)."""
         identifier = profile.connector_id
         with self._lock:
-            if identifier in self._profiles or identifier in self._making:
+            is_known = identifier in self._profiles or identifier in self._making
+            if is_known or self._is_closed:
                 return RTC.PRECONDITION_NOT_MET, profile
             self._making[identifier] = profile
         try:
@@ -211,13 +216,20 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         except ConnectorRefusal as refusal:
             _log.warning("port %s refuses connector %s: %s", self.name, profile.name, refusal)
             code = refusal.code
+        except Exception as error:  # noqa: BLE001 - nothing is left of what could not be made
+            _log.warning("port %s: connector %s: %s", self.name, profile.name, text_of(error))
+            code = RTC.RTC_ERROR
         if code != RTC.RTC_OK:
             self.drop(identifier)
             return code, profile
         with self._lock:
-            # One that was disconnected meanwhile stays so.
-            if self._making.pop(identifier, None) is not None:
+            # One that was disconnected meanwhile, or whose port was closed, stays so.
+            is_kept = self._making.pop(identifier, None) is not None and not self._is_closed
+            if is_kept:
                 self._profiles[identifier] = profile
+        if not is_kept:
+            self._release(identifier)
+            code = RTC.RTC_ERROR
         return code, profile
 
     def disconnect(self, connector_id: str) -> Any:

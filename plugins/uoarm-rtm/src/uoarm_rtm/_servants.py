@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from _uoarm_rtm_stubs import RTC, RTC__POA, SDOPackage, SDOPackage__POA
@@ -21,6 +22,8 @@ from attrs import frozen
 from uoarm.bridge import LimitedLog, foreign
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import pairs, properties_of
+
+_LEAST_HZ, _MOST_HZ = 1e-6, 1e6  # of a context: no wait is for ever, and each is one
 
 _log = logging.getLogger("uoarm.rtm")
 
@@ -126,7 +129,8 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
         self._orb = orb
         self._lifecycle = lifecycle
         self._rate = rate
-        # Guards both fields below, which operations in threads of the ORB change under our thread.
+        # Guards the rate and both fields below, which operations in threads of the ORB change under
+        # our thread.
         self._changed = threading.Condition()
         self._running = True
         self._closed = False
@@ -160,11 +164,13 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
 
     def set_rate(self, rate: float) -> Any:
         """Set the steps a second (CORBA operation)."""
-        if not rate > 0:
+        if not _LEAST_HZ <= rate <= _MOST_HZ:
             return RTC.BAD_PARAMETER
         if not self._rate:
             return RTC.UNSUPPORTED
-        self._rate = rate
+        with self._changed:
+            self._rate = rate
+            self._changed.notify_all()
         return RTC.RTC_OK
 
     def add_component(self, component: Any) -> Any:
@@ -222,7 +228,11 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
             if self._running:
                 self._lifecycle.execute()
             with self._changed:
-                self._changed.wait_for(lambda: self._closed, 1.0 / self._rate)
+                before = self._rate
+                self._changed.wait_for(partial(self._is_over, before), 1.0 / before)
+
+    def _is_over(self, rate: float) -> bool:
+        return self._closed or self._rate != rate
 
 
 _MOST_SETS = 100

@@ -18,7 +18,7 @@ from uoarm.bridge import Channel, Description, LimitedLog, foreign, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message, MessageStructure
 from uoarm_rtm._descriptors import RETURN, IdlInterface, IdlOperation
-from uoarm_rtm._orb import Orb, corba_errors, limit, narrowed
+from uoarm_rtm._orb import Orb, corba_errors, limit, limited, narrowed
 from uoarm_rtm._peer import (
     Connections,
     Connector,
@@ -154,15 +154,14 @@ class OperationCaller:
         natives = chosen.arguments(arguments)
         what = f"{self._where}: {self._interface.name}::{chosen.name}"
         try:
-            reached, is_new = self._reach()
-            target = limit(reached, seconds)
+            target, is_new = self._reach()
         except BridgeTimeoutError:
             raise
         except BridgeError:
             self.end()
             raise
         try:
-            with corba_errors(what):
+            with corba_errors(what), limited(seconds):
                 try:
                     result = getattr(target, chosen.name)(*natives)
                 except CORBA.OBJECT_NOT_EXIST as error:
@@ -205,9 +204,9 @@ class OperationCaller:
                 )
                 try:
                     reference = self._orb.reference(ior)
-                    self._object = narrowed(
-                        reference, self._interface.stub, self._seconds, self._where
-                    )
+                    reached = narrowed(reference, self._interface.stub, self._seconds, self._where)
+                    # Each call has a limit of its own, and several come at once.
+                    self._object = limit(reached, None)
                 except BridgeError:
                     connector.disconnect()
                     raise
