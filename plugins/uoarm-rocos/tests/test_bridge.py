@@ -177,10 +177,12 @@ def test_two_devices_of_one_bridge_keep_apart() -> None:
     with (
         served(SimulatedRobot(), "tcp") as one,
         served(SimulatedRobot(), "pty") as two,
-        bridged(one={"url": one}, two={"url": two}, away={"url": "tcp://127.0.0.1:1"}) as (
-            bridge,
-            _,
-        ),
+        bridged(
+            one={"url": one},
+            wrong={"url": one, "catalogue": "/of/no/device.xml"},
+            two={"url": two},
+            away={"url": "tcp://127.0.0.1:1"},
+        ) as (bridge, _),
     ):
         assert {found.name for found in bridge.discover()} == {"one", "two"}
         drive = {"distance": 0.05, "speed": 0.5}

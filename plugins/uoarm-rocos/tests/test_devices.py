@@ -139,7 +139,7 @@ def test_two_receivers_get_the_same() -> None:
         first.close()
         other = [two.get() for _ in range(120)]
         assert [message for message in mine if message in other] == mine
-        assert first.facts()["dropped"] == 0
+        assert first.facts()["lost_on_link"] == 0
 
 
 def test_an_oximeter_that_is_switched_off_is_degraded_then_lost_and_said_why() -> None:

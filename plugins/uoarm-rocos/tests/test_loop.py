@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import ClassVar
 
 import pytest
 from lines import LIMIT, PseudoTerminal, listening
@@ -134,3 +135,40 @@ def test_calls_in_their_callers_thread_cost_no_turn() -> None:
         empty = bridge.facts()["empty_turns"]
         assert isinstance(empty, int)
         assert empty <= FEW
+
+
+class Odd(TcpTransport):
+    """A part of another make, which raises what is no `Exception`, or as it is closed."""
+
+    raises: ClassVar[list[str]] = []
+
+    def read(self) -> bytes:
+        if "read" in self.raises:
+            self.raises.remove("read")
+            raise SystemExit("of a part")
+        return super().read()
+
+    def close(self) -> None:
+        super().close()
+        if "close" in self.raises:
+            self.raises.remove("close")
+            raise RuntimeError("of a part")
+
+
+@pytest.mark.parametrize("where", ["read", "close"])
+def test_whatever_a_part_raises_the_line_is_opened_again(
+    monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    monkeypatch.setattr(Odd, "raises", [])
+    with (
+        listening() as (server, port),
+        line(lambda: Odd("127.0.0.1", port), is_shared=False) as (_, user),
+    ):
+        with server.accept()[0]:
+            Odd.raises.append(where)
+            if where == "read":
+                wait(lambda: user.losses)
+        with server.accept()[0] as device:
+            device.sendall(b"again")
+            user.wait_for(5)
+        assert user.losses

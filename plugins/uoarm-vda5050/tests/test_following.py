@@ -13,6 +13,7 @@ from uoarm_mqtt.connection import PayloadCodec
 from uoarm_vda5050._channels import VehicleFollower, call
 from uoarm_vda5050._health import Presence
 from uoarm_vda5050._messages import check_of
+from uoarm_vda5050._options import place_of
 from uoarm_vda5050._orders import Order
 from uoarm_vda5050._releases import RELEASES
 from uoarm_vda5050._transport_state import Action, GoalEnded, Phase, TransportState
@@ -374,3 +375,9 @@ def test_states_that_cannot_be_read_count_against_what_is_read_from_them(broker:
         wait(lambda: source.unreadable == 1 and "" in got.unread, str(got.unread), patience())
         assert "Expecting property name" in next(filter(None, got.unread))
         assert got.messages == []
+
+
+@pytest.mark.parametrize("serial", ["", "a/b", "a\n", "a\x7f", "a\0", "#"])
+def test_a_serial_number_that_no_topic_has_is_refused(serial: str) -> None:
+    with pytest.raises(ValueError, match="manufacturer or serial number is no level of a topic"):
+        place_of((MAKER, serial, "state"), {})

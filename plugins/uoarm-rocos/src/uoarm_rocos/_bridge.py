@@ -19,7 +19,7 @@ from uoarm.bridge import (
     Sink,
     Source,
 )
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm_rocos._catalogue import Api, Direction
 from uoarm_rocos._catalogue_xml import load_catalogue
@@ -165,8 +165,13 @@ class RocosBridge(Bridge):
 
     def _discover(self) -> tuple[Discovered, ...]:
         end = time.monotonic() + _DISCOVER_SECONDS
-        devices = {name: self._named(name) for name in self._device_options}
-        found, away = [], []
+        devices: dict[str, Device] = {}
+        found, away = list[Discovered](), list[UoarmError]()
+        for name in self._device_options:
+            try:
+                devices[name] = self._named(name)
+            except UoarmError as error:  # of this one: the others are there all the same
+                away.append(error)
         for name, device in devices.items():
             try:
                 catalogue = device.catalogue(max(0.0, end - time.monotonic()))

@@ -149,8 +149,9 @@ class ProfileOutput(ProfileFlow):
         self.monitor.passed()
 
     def facts(self) -> Mapping[str, object]:
-        """Return how many messages came, or found the receiver too slow, and when the last did."""
-        counts = {"received": self._received, "dropped": self._receiver.dropped}
+        """Return how many messages came, and of how many that came the receiver was too slow."""
+        dropped = self._receiver.dropped + self._unreadable.dropped
+        counts = {"received": self._received, "lost_on_link": dropped}
         return {**counts, **self.monitor.facts()}
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from uoarm.bridge import Backoff, LimitedLog, TurnCounter, text_of
+from uoarm.bridge import Backoff, LimitedLog, TurnCounter, foreign, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._transport import TICK_SECONDS, LineTransport
@@ -258,7 +258,17 @@ class DeviceLine:
             self._stop.wait(self._backoff.pause(failed))
 
     def _use_once(self) -> str:
-        """Open, read until the line is lost, close; return why it was lost."""
+        """Use the line until it is lost; return why it was lost."""
+        try:
+            return foreign(self._use)
+        except BridgeError as error:
+            return str(error)
+        except Exception as error:  # noqa: BLE001 - a replaced transport may raise anything
+            self._records.write(logging.WARNING, f"line {self.name}", error)
+            return text_of(error)
+
+    def _use(self) -> str:
+        """Open, read until the line is lost or its end, close; return why it was lost."""
         transport: LineTransport | None = None
         try:
             transport = self._make()
@@ -288,11 +298,6 @@ class DeviceLine:
                 rest = self._counter.add(empty=is_ready and not data and now < until)
                 if rest:
                     self._stop.wait(rest)
-        except BridgeError as error:
-            return str(error)
-        except Exception as error:  # noqa: BLE001 - a replaced transport may raise anything
-            self._records.write(logging.WARNING, f"line {self.name}", error)
-            return text_of(error)
         finally:
             with self._reading, self._sending:
                 self._transport = None

@@ -72,7 +72,8 @@ class VehicleOptions(EndpointOptions):
 
 
 TRANSPORT = "transport"
-_ID = re.compile(r"^[^/+#$\0]{1,200}$")
+# Brokers end the connection for a topic with a control character.
+_ID = re.compile(r"[^/+#$\x00-\x1f\x7f-\x9f]{1,200}")
 
 
 @frozen
@@ -143,9 +144,9 @@ def place_of(address: tuple[str, ...], options: Options, port: str = "") -> Vehi
     if not 3 <= len(parts) <= 4:  # noqa: PLR2004
         raise ValueError(f"{expected} with a topic of {topics}, got {list(address)}")
     for name in parts[:2]:
-        if not _ID.match(name):
+        if not _ID.fullmatch(name):
             text = f"{name[:80]!r}: a manufacturer or serial number is no level of a topic with"
-            raise ValueError(f"{text} / + # or $, and not empty")
+            raise ValueError(f"{text} / + # $ or control characters, and not empty")
     if parts[2] not in {*TOPICS, TRANSPORT}:
         raise ValueError(f"there is no topic {parts[2]!r}: {topics}")
     if len(parts) == 4 and (parts[2] != TRANSPORT or parts[3] not in TRANSPORT_PARTS):  # noqa: PLR2004

@@ -438,8 +438,8 @@ class _StreamFlow:
 
     def facts(self) -> Mapping[str, object]:
         """Return the device's counters and what this receiver was too slow for."""
-        dropped = {"dropped": self.receiver.dropped}
-        return {**self._device.facts(), **dropped, **self.monitor.facts()}
+        lost = {"lost_on_link": self.receiver.dropped}
+        return {**self._device.facts(), **lost, **self.monitor.facts()}
 
     def close(self) -> None:
         """End; no other delivery begins."""
