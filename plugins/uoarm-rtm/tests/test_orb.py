@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import omniORB
 import pytest
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
 from uoarm_rtm import _orb
@@ -129,6 +130,9 @@ def test_the_last_close_does_not_wait_for_a_delivery_and_the_next_orb_does(
     try:
         pusher.begin(1)
         wait(lambda: inlet.together.n_waiting)
+        threads = threading.enumerate()
+        assert omniORB.WorkerThread in map(type, threads)
+        assert all(thread.is_alive() for thread in threads)
         monkeypatch.setattr(_orb, "_DESTROY_SECONDS", 2 * patience())
         Background(orb.close).result()
         monkeypatch.setattr(_orb, "_DESTROY_SECONDS", 0.1)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 import os
 import shutil
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -26,6 +27,11 @@ from omniORB import CORBA
 from uoarm.bridge import at_exit
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._compiler import omniorb_programs
+
+# omniORB 4.3.3 reads here what `threading` has no more: who asks each thread of the process whether
+# it lives would get an AttributeError.
+if sys.version_info >= (3, 13):
+    omniORB.WorkerThread.is_alive = threading.Thread.is_alive
 
 
 class CallGuard:
