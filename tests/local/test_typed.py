@@ -445,8 +445,9 @@ def test_some_members_of_an_enumeration_are_read_alone() -> None:
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("either", "disambiguate between .*Count.*Twin"),
-        ("perhaps", "disambiguate between .*Count.*Twin"),
+        # Two texts of cattrs, from 26.1 on and before.
+        ("either", "(disambiguate between .*Count.*Twin|.*Twin'> has no usable)"),
+        ("perhaps", "(disambiguate between .*Count.*Twin|.*Twin'> has no usable)"),
         # The second is of CPython 3.10, which cannot read the hints of such a class.
         ("seeded", "Seeded.* cannot be (built of its fields: missing .*'seed'|.*InitVar)"),
         ("takes_absent", ".*Holder.*: the type hints of its fields cannot be read: .*'Absent'"),
