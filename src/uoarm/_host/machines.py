@@ -16,7 +16,7 @@ from uoarm._host.process_connection import HostSettings
 from uoarm._host.transport import keys
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
 from uoarm._host.transport.shared_counters import SharedCounters
-from uoarm._host.transport.transport import Transport
+from uoarm._host.transport.transport import Reply, Transport
 from uoarm._host.transport.zenoh_transport import (
     MANAGER,
     Identity,
@@ -45,6 +45,7 @@ class MachineConnection:
         on_answer: called with what every answer to a heartbeat holds.
         on_doubt: called when it does not answer, or does again, and the cause.
         on_death: called once with why it was lost; `dead` is set already.
+        on_health: takes what the bridge reports, from before it is ready on.
 
     Raises:
         UoarmError: what making the bridge there raised.
@@ -62,6 +63,7 @@ class MachineConnection:
         on_answer: Callable[[Any], None],
         on_doubt: Callable[[bool, str], None],
         on_death: Callable[[str], None],
+        on_health: Callable[[Mapping[str, Any], Reply], None],
     ) -> None:
         self._subject = f"machine {machine!r}"
         self._liveness = LivenessMonitor(spec.name, on_doubt, on_death)
@@ -85,6 +87,7 @@ class MachineConnection:
         try:
             self.transport.show_alive(keys.MANAGED)
             self.transport.watch_alive(keys.ALIVE, self._seen)
+            self.transport.answer(keys.HEALTH, on_health)
             orders = {
                 "protocol": keys.PROTOCOL_VERSION,
                 "contract": CONTRACT_VERSION,

@@ -26,6 +26,7 @@ from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
+from uoarm._host.transport.transport import Reply
 from uoarm._log_lines import HOST_LINE, read_host_line
 from uoarm._support.process_tuning import KEEPING
 from uoarm.bridge import CONTRACT_VERSION
@@ -303,6 +304,7 @@ class ProcessConnection:
         on_answer: called with what every answer to a heartbeat holds.
         on_doubt: called when it does not answer, or does again, and the cause.
         on_death: called once with why it died; `dead` is set already.
+        on_health: takes what the bridge reports, from before it is ready on.
         origin: the configuration file, which the host's command line shows.
 
     Raises:
@@ -319,6 +321,7 @@ class ProcessConnection:
         on_answer: Callable[[Any], None],
         on_doubt: Callable[[bool, str], None],
         on_death: Callable[[str], None],
+        on_health: Callable[[Mapping[str, Any], Reply], None],
         origin: str = "",
     ) -> None:
         self._name = spec.name
@@ -337,6 +340,7 @@ class ProcessConnection:
         self.counters = SharedCounters(counted.fileno(), gives=True)
         self._transport = SocketTransport(near, spec.name)
         self._transport.watch_alive(keys.ALIVE, self._liveness.seen)
+        self._transport.answer(keys.HEALTH, on_health)
         try:
             with counted, closing(far):  # the host has inherited them, or there is none
                 passed = *far.descriptors, counted.fileno()

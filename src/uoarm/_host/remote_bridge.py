@@ -274,10 +274,10 @@ class RemoteBridge(Bridge):
             on_answer=self._on_answer,
             on_doubt=self._on_doubt,
             on_death=self._on_death,
+            on_health=self._on_health_event,
         )
         try:
             self.capabilities = from_json(self._host.greeting["capabilities"], Capabilities)
-            self._host.transport.answer(keys.HEALTH, self._on_health_event)
         except BaseException:
             self._host.close(None)
             raise
