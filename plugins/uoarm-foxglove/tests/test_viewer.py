@@ -7,12 +7,13 @@ import struct
 import time
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import components
 import pytest
 from components import loose_script, numbers_script, pictures_script
-from uoarm_foxglove._catalogue import ChannelCatalogue
+from uoarm_foxglove import _catalogue
+from uoarm_foxglove._catalogue import ChannelCatalogue, InputTopic
 from viewer import SUBPROTOCOLS, Serve, Viewer
 
 from uoarm import RobotManager
@@ -200,6 +201,28 @@ def test_a_channel_that_cannot_be_advertised_is_refused(
         assert text in viewer.until("status")["message"]
         viewer.publish(1, b"{}")
         assert "there is no channel 1" in viewer.until("status")["message"]
+
+
+class Inputs(dict[str, InputTopic]):
+    """Are looked up by name only: of a robot there may be thousands."""
+
+    def __iter__(self) -> NoReturn:
+        raise AssertionError("all inputs were looked at")
+
+
+def test_a_wrong_topic_is_compared_with_no_other(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = _catalogue.VisibleListing
+
+    def listing(channels: Any, services: Any, inputs: Any, *more: Any) -> Any:
+        return made(channels, services, Inputs(inputs), *more)
+
+    monkeypatch.setattr(_catalogue, "VisibleListing", listing)
+    with Viewer(serve()) as viewer:
+        viewer.channel("/echo")
+        viewer.send("advertise", channels=[{"id": 1, "topic": "/eco", "encoding": "json"}])
+        assert "there is no such input" in viewer.until("status")["message"]
 
 
 def test_a_service_is_called_and_its_failure_is_the_calls(serve: Serve) -> None:
