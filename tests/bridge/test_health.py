@@ -249,6 +249,16 @@ def test_a_loss_says_which_option_would_have_reported_it_sooner() -> None:
         assert said(report) == (Health.LOST, f"disconnected: /a: it left{hint}")
 
 
+@pytest.mark.parametrize("messages", [1, 2, 5])
+def test_of_a_latched_channel_no_stale_after_is_proposed(messages: int) -> None:
+    health = ChannelHealth("/map", 0.0, recovers=True, learns=True)
+    health.connected(0.0)
+    for message in range(messages):
+        health.passed(message * 0.1)
+    report = health.connected(60.0, 0, "it left")
+    assert said(report) == (Health.LOST, "disconnected: /map: it left")
+
+
 def test_a_silence_that_peers_promise_not_to_reach_may_come_later() -> None:
     health = ChannelHealth("/a", 0.0, recovers=True, learns=True)
     assert health.facts(0.0)["stale_after"] == "never"

@@ -408,11 +408,7 @@ class _IntervalEstimate:
 
     def silence(self, age: float) -> str:
         """Say what is conspicuous of a silence; empty: nothing."""
-        if self._since is None or self._gaps < _STEADY_GAPS:
-            return ""
-        lasted = self._last - self._since
-        is_steady = lasted >= _STEADY_SECONDS and self._longest <= _STEADY * lasted / self._gaps
-        if not is_steady or age <= self._never_reached():
+        if not self._is_steady() or age <= self._never_reached():
             return ""
         return (
             f"no message for {age:.1f} s, and before one came every {self._longest:.2g} s or "
@@ -421,12 +417,19 @@ class _IntervalEstimate:
 
     def sooner(self, age: float) -> str:
         """Name the option by which a loss after a silence would have been known before."""
-        if self._since is None or age <= 2 * self._never_reached():
+        if not self._is_steady() or age <= 2 * self._never_reached():
             return ""
         return (
             f", {age:.1f} s after its last message: stale_after: {self._never_reached():g} in the "
             "options reports it sooner"
         )
+
+    def _is_steady(self) -> bool:
+        """Whether so many came so evenly that a longer silence says something."""
+        if self._since is None or self._gaps < _STEADY_GAPS:
+            return False
+        lasted = self._last - self._since
+        return lasted >= _STEADY_SECONDS and self._longest <= _STEADY * lasted / self._gaps
 
     def _never_reached(self) -> float:
         """Return a `stale_after` that no silence so far would have reached."""
