@@ -309,6 +309,24 @@ def test_a_dead_link_is_reported_with_the_manager_and_the_cause(
         assert "disconnected: counter of the manager at" in counter.cause
 
 
+def test_the_status_says_that_the_manager_is_gone_where_nothing_is_open(
+    robot: ServedRobot, proxy: Proxy, desk: Desk
+) -> None:
+    manager = desk(through(proxy))
+    manager.call("double", {"value": 1}, timeout=patience())
+
+    def bridge() -> tuple[str, str]:
+        status = next(entry for entry in manager.status().bridges if entry.name == "robot3")
+        return status.health.value, status.cause
+
+    assert bridge() == ("ok", "")
+    proxy.cut(admit=False)
+    wait(lambda: bridge()[0] == "degraded", "the break was not reported")
+    assert bridge()[1].startswith("the manager at ws://127.0.0.1:")
+    proxy.admit()
+    wait(lambda: bridge()[0] == "ok", "the end of the break was not reported")
+
+
 def test_a_call_to_a_manager_that_is_gone_ends_with_its_grace(proxy: Proxy, desk: Desk) -> None:
     manager = desk(through(proxy), grace=0.2)
     answers: list[object] = []

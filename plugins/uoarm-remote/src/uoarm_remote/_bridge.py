@@ -33,7 +33,7 @@ class RemoteManagerBridge(Bridge):
     def __init__(self, name: str, options: ManagerOptions) -> None:
         super().__init__(name, options)
         self._given = options
-        self._other = ManagerLink(name, options, lambda: self.manager, self._restarted)
+        self._other = ManagerLink(name, options, lambda: self.manager, self.report)
         self._streams = FunctionStreams(self._other)
         self._called: set[tuple[str, ...]] = set()
 
@@ -110,10 +110,6 @@ class RemoteManagerBridge(Bridge):
 
     def _close(self) -> None:
         self._other.close()
-
-    def _restarted(self) -> None:
-        """Have described again what is not open: it may have another structure now."""
-        self.report(Health.OK, "the other manager has begun anew")
 
 
 def _outcome(report: Mapping[str, Any]) -> StopOutcome:

@@ -22,6 +22,7 @@ from websockets.exceptions import InvalidHandshake, InvalidStatus
 
 from uoarm.bridge import (
     Backoff,
+    Disconnection,
     LimitedLog,
     asking_managers,
     redirection,
@@ -44,6 +45,7 @@ from uoarm.errors import (
     UoarmError,
     UsageError,
 )
+from uoarm.model import Health
 from uoarm_remote._options import ManagerOptions
 
 _log = logging.getLogger("uoarm.remote")
@@ -77,7 +79,7 @@ class ManagerLink:
         name: of the bridge.
         options: of the bridge.
         identity: returns the identity of the manager that asks.
-        on_restart: called when the other manager has begun anew, in the link's thread.
+        report: called with the health of the bridge, and why, in the link's thread.
     """
 
     def __init__(
@@ -85,12 +87,13 @@ class ManagerLink:
         name: str,
         options: ManagerOptions,
         identity: Callable[[], str],
-        on_restart: Callable[[], object],
+        report: Callable[[Health, str], object],
     ) -> None:
         self._records = LimitedLog(_log)
         self._name, self._options, self._identity = name, options, identity
-        self._on_restart = on_restart
-        self._current: tuple[RemoteRobot, int] | None = None
+        self._report = report
+        # What is open is lost by itself, and the link is tried for ever.
+        self._disconnection = Disconnection(math.inf)
         # Guards the beginning of the thread, the members and why the link is down: between steps,
         # in any thread, and the link's own.
         self._lock = threading.Lock()
@@ -417,10 +420,9 @@ class ManagerLink:
         self._tried.set()
         for member in members:
             member.link_is_up()
-        assert self._robot is not None, "it is up"
-        before, self._current = self._current, (self._robot, self._robot.restarts)
-        if before not in {None, self._current}:
-            self._on_restart()
+        if (health := self._disconnection.up()) is not None:
+            # What is not open is described again: it may have another structure now.
+            self._report(health, f"{self.place} is reached")
 
     def _down(self, cause: str) -> None:
         with self._lock:
@@ -433,6 +435,8 @@ class ManagerLink:
         self._tried.set()
         for member in members:
             member.link_broke(cause)
+        if (health := self._disconnection.down(time.monotonic(), final=False)) is not None:
+            self._report(health, f"{self.place}: {cause}")
 
     async def _within(self, work: Callable[[RemoteRobot], Coroutine[Any, Any, T]]) -> T:
         robot = self._reached()
