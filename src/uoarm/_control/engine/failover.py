@@ -16,7 +16,7 @@ from uoarm._control.engine.leaving import (
 )
 from uoarm._control.engine.move import Move, MovePhase, MoveReason, forget_earlier
 from uoarm._control.engine.placement import ComponentRecord, Placement
-from uoarm._control.engine.state import ConnectionRecord, listed, oldest_first
+from uoarm._control.engine.state import ConnectionRecord, oldest_first
 from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import ConnectionState, Health, Plan
@@ -123,10 +123,9 @@ def _lose(
         draft.failed = draft.failed.insert_last(name, draft.now)
         if event.is_avoided:
             draft.avoided = draft.avoided.insert_last(name, draft.now)
-    were = f"component {dead[0]!r} was"
-    if len(dead) > 1:
-        were = f"components {listed(dead)} were"
-    cause = f"{were} lost: {event.cause}"
+    # A bridge takes with it what other connections had, which this text is not to name.
+    what = f"bridge {event.bridge!r}" if event.component is None else f"component {dead[0]!r}"
+    cause = f"{what} was lost: {event.cause}"
     replace(draft, death(draft, cause, lost)._replace(dead=concerned, excluded=concerned))
 
 
