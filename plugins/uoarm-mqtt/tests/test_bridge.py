@@ -451,7 +451,8 @@ class TestBroker:
             # Else it may be sent again: a subscriber has it before the sender its acknowledgement.
             assert sink.drain(patience())
             broker.kill()
-            assert "connection broke" in until(events, Health.DEGRADED).cause
+            cause = until(events, Health.DEGRADED).cause
+            assert f"the broker at {broker.host}:{broker.port}: the connection broke" in cause
             with pytest.raises(BridgeError, match="no connection to the broker"):
                 sink.send("lost")
             with pytest.raises(BridgeError, match="no connection to the broker"):

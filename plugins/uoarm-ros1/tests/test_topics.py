@@ -608,6 +608,23 @@ def test_what_is_there_with_another_type_or_as_another_kind_is_named(
                 bridge.describe(at)
 
 
+def test_a_name_that_is_nearly_right_is_proposed(master: Master, lasting: Peer) -> None:
+    lasting.do("advertise", topic="/uttered", type=INT)
+    lasting.do("subscribe", topic="/heeded", type=INT)
+    lasting.do("serve", service="/swivel", type="std_srvs/SetBool")
+    lasting.do("set_param", name="/velocity", value=1)
+    with bridge_to(master) as bridge:
+        for at, words in (
+            (output("/utered", INT), "/utered; did you mean /uttered"),
+            (input_("/heded", INT), "/heded; did you mean /heeded"),
+            (service("/swivl"), "; did you mean /swivel"),
+            (output("/velocty", "parameter"), "not set; did you mean /velocity"),
+            (output("/uttered", INT, node="/lastin"), "/uttered; did you mean /lasting"),
+        ):
+            with pytest.raises(BridgeError, match=words):
+                bridge.describe(at)
+
+
 def test_a_bridge_off_loopback_says_where_it_is_reached(master: Master) -> None:
     with bridge_to(master, host="127.0.0.1") as bridge:
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge

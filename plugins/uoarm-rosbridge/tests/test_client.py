@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import trustme
 from attrs import evolve
-from played import LISTEN, TALK, Played, asked, bridge_to
+from played import LISTEN, STRING, TALK, Played, asked, bridge_to
 from ros import Serve, url
 from tests.inbox import health_events  # type: ignore[import-not-found]
 from tests.redirects import redirecting  # type: ignore[import-not-found]
@@ -209,6 +209,38 @@ def test_a_server_without_rosapi_is_named(played: Played) -> None:
     played.answers = {}
     with bridge_to(played.url) as bridge, pytest.raises(BridgeError, match="does rosapi run there"):
         bridge.describe(TALK)
+
+
+@pytest.mark.parametrize("listed", [["/chatter", "/map"], None])
+def test_a_name_that_is_nearly_right_is_proposed(played: Played, listed: object) -> None:
+    absent: dict[str, object] = {"type": "", "publishers": [], "subscribers": []}
+    names = dict.fromkeys(("topic_type", "service_type", "publishers", "subscribers"), absent)
+    lists = (
+        {} if listed is None else {"topics": {"topics": listed}, "services": {"services": listed}}
+    )
+    played.answers = {**played.answers, **names, **lists}
+    meant = r"; did you mean /chatter\?" if listed else ""
+    with bridge_to(played.url) as bridge:
+        for role, address, text in (
+            (Role.OUTPUT, ("/chater",), "its type is in no address"),
+            (Role.OUTPUT, ("/chater", "std_msgs/String"), "no node publishes /chater"),
+            (Role.INPUT, ("/chater", "std_msgs/String"), "no node subscribes to /chater"),
+            (Role.SERVICE, ("/chater",), "no node serves it"),
+        ):
+            with pytest.raises(BridgeError, match=f"{text}{meant}$"):
+                bridge.describe(Endpoint("far", "talker", role, address))
+
+
+def test_a_reply_that_does_not_fit_is_refused_with_the_service(played: Played) -> None:
+    details = {"typedefs": [STRING]}
+    played.answers |= {
+        "service_type": {"type": "x_srvs/Say"}, "service_request_details": details,
+        "service_response_details": details, "say": {"data": "yes", "more": 1},
+    }  # fmt: skip
+    say = Endpoint("far", "speaker", Role.SERVICE, ("/say",))
+    text = r"at \['/say'\]: the reply: .*: expected an object of data, got dict"
+    with bridge_to(played.url) as bridge, pytest.raises(MessageError, match=text):
+        bridge.call(say, {"data": "?"}, timeout=patience())
 
 
 def test_a_server_that_is_not_there_is_named() -> None:

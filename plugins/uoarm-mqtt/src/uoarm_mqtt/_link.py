@@ -132,6 +132,10 @@ class BrokerConnection:
                 options.announcement.topic, options.announcement.will, qos=1, retain=True
             )
 
+    @property
+    def _where(self) -> str:
+        return f"{self.options.host}:{self.options.port}"
+
     def require_up(self) -> None:
         """Return when the link is up; the first call connects.
 
@@ -151,9 +155,9 @@ class BrokerConnection:
             if self._closed:
                 raise self._closed_error()
             if not self._up:
-                where = f"{self.options.host}:{self.options.port}"
                 cause = self._cause or "no answer yet"
-                text = f"bridge {self.name!r}: no connection to the broker at {where}: {cause}"
+                text = f"bridge {self.name!r}: no connection to the broker at {self._where}: "
+                text += cause
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
 
     def subscribe(self, receiver: Receiver, *, settled: bool = False) -> None:
@@ -517,7 +521,7 @@ class BrokerConnection:
             self._changed.notify_all()
         self._fail(cause)
         if health is not None:
-            self.report(health, cause)
+            self.report(health, f"the broker at {self._where}: {cause}")
         if is_over:
             self._client.disconnect()  # ends the thread, and the attempts
 

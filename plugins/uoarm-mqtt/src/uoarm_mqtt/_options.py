@@ -212,7 +212,9 @@ class TopicOptions(EndpointOptions):
     """The options of one endpoint."""
 
     content: str = option(
-        "json", {"enum": ["json", "octets", "text"]}, "what payloads are; a text is UTF-8"
+        "json",
+        {"enum": ["json", "octets", "text"]},
+        "what payloads are: `json`, `octets`, or `text` in UTF-8",
     )
     qos: int = option(1, {"enum": [0, 1, 2]}, "of subscribing or of publishing")
     retain: bool = option(

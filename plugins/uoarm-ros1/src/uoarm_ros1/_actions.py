@@ -16,7 +16,7 @@ from uoarm.bridge import Channel, Description, Handler, ServedRequests, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm_ros1._definitions import RosRecord
-from uoarm_ros1._discovery import Graph
+from uoarm_ros1._discovery import Graph, near
 from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Ros1Address, Ros1Options
@@ -65,7 +65,9 @@ def require_server(graph: Graph, endpoint: Endpoint, name: str) -> None:
     """Raise BridgeError where no node that lives serves an action."""
     servers = _servers(graph.state, name)
     if not servers:
-        text = f"{endpoint}: there is no server of action {name}"
+        goals = (topic for topic in graph.state.subscribers if topic.endswith("/goal"))
+        meant = near(name, (topic.removesuffix("/goal") for topic in goals))
+        text = f"{endpoint}: there is no server of action {name}{meant}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
     if not graph.living(servers):
         text = f"{endpoint}: of the servers of action {name} none answers: {', '.join(servers)}"

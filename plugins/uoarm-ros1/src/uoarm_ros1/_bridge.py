@@ -37,7 +37,7 @@ from uoarm_ros1._channels import (
     parameter_structure,
 )
 from uoarm_ros1._definitions import DefinitionError, RosRecord, RosService, record_of
-from uoarm_ros1._discovery import Graph, discovered
+from uoarm_ros1._discovery import Graph, discovered, near
 from uoarm_ros1._health import LostComponents, MasterHealth
 from uoarm_ros1._node import Clock, Node, Rosout
 from uoarm_ros1._options import (
@@ -253,7 +253,10 @@ class Ros1Bridge(Bridge):
             text = f"{endpoint}: no publisher of {topic} answers: {'; '.join(failures)}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         who = f"node {port.node} does not publish" if port.node else "no node publishes"
-        text = f"{endpoint}: {who} {topic}{graph.seen_as(topic, address.type)}"
+        known = graph.state.publishers
+        text = f"{endpoint}: {who} {topic}{graph.seen_as(topic, address.type, known)}"
+        if port.node:
+            text += near(self._node.resolve(port.node), known.get(topic, ()))
         raise BridgeError(text, FailureReason.NOT_FOUND)
 
     def _require_peer(
@@ -268,8 +271,12 @@ class Ros1Bridge(Bridge):
             subscribers = tuple(name for name in subscribers if name == meant)
         if not subscribers:
             who = f"node {port.node} does not subscribe" if port.node else "no node subscribes"
-            seen = graph.seen_as(topic, address_of(endpoint).type)
-            raise BridgeError(f"{endpoint}: {who} to {topic}{seen}", FailureReason.NOT_FOUND)
+            known = graph.state.subscribers
+            text = f"{endpoint}: {who} to {topic}"
+            text += graph.seen_as(topic, address_of(endpoint).type, known)
+            if port.node:
+                text += near(self._node.resolve(port.node), known.get(topic, ()))
+            raise BridgeError(text, FailureReason.NOT_FOUND)
         if not graph.living(subscribers):
             text = (
                 f"{endpoint}: of the subscribers of {topic} none answers: {', '.join(subscribers)}"

@@ -7,6 +7,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from difflib import get_close_matches
 from functools import cached_property
 
 from uoarm.bridge import Description, Discovered
@@ -24,6 +25,12 @@ _EVERYWHERE = frozenset({"/rosout", "/rosout_agg", "/clock"})
 _OF_EVERY_NODE = ("/get_loggers", "/set_logger_level", "/tf2_frames")
 _STATUS, _GOAL = "/status", "/goal"
 _PARTS = ("/goal", "/cancel", "/status", "/feedback", "/result")
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """Ask in an error whether a name like the one that is not there is meant."""
+    found = get_close_matches(name, [text for text in known if text != name], n=1)
+    return f"; did you mean {found[0]}?" if found else ""
 
 
 class Graph:
@@ -61,12 +68,14 @@ class Graph:
         """Say whether all of this that was used was asked for since then."""
         return self._oldest >= moment
 
-    def seen_as(self, topic: str, wanted: str) -> str:
-        """Say with which other type than wanted a topic is known, or that it is a service."""
+    def seen_as(self, topic: str, wanted: str, known: Iterable[str]) -> str:
+        """Say with which other type than wanted a topic is known, or what may be meant instead."""
         if topic in self.state.services:
             return "; there is a service of that name"
         kind = self.types.get(topic, "")
-        return f"; it is known as {kind}, not {wanted}" if kind and wanted not in {"", kind} else ""
+        if kind and wanted not in {"", kind}:
+            return f"; it is known as {kind}, not {wanted}"
+        return near(topic, known)
 
     def address(self, name: str) -> str:
         """Return the address that the master has for a node, nothing where it has none."""

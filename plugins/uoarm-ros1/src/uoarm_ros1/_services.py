@@ -13,7 +13,7 @@ from uoarm.bridge import Channel, Handler, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_ros1._definitions import RosService
-from uoarm_ros1._discovery import Graph
+from uoarm_ros1._discovery import Graph, near
 from uoarm_ros1._master import connect, failure_text
 from uoarm_ros1._node import Node
 from uoarm_ros1._publication import keep_alive
@@ -51,8 +51,9 @@ def probe_service(node: Node, service: str) -> tuple[str, str]:
         if error.reason is not FailureReason.REFUSED:
             raise
         kind = node.master.types().by_topic.get(service)
-        topic = f"; there is a topic of that name, of type {kind}" if kind else ""
-        text = f"no node serves {service}: {error}{topic}"
+        other = f"; there is a topic of that name, of type {kind}" if kind else ""
+        other = other or near(service, node.master.state().services)
+        text = f"no node serves {service}: {error}{other}"
         raise BridgeError(text, FailureReason.NOT_FOUND) from error
     header = service_header(node.name, service, probe=True)
     connection, answer = _open(host, port, service, header, time.monotonic() + _PROBE_SECONDS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import suppress
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 from uoarm.bridge import (
@@ -20,7 +21,7 @@ from uoarm.bridge import (
     Source,
     renewed,
 )
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_rosbridge.client._channels import (
     ParameterSink,
@@ -146,7 +147,8 @@ class RosbridgeBridge(Bridge):
             text = f"{endpoint}: the topic has the type {actual}"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         if not (kind := actual or address.type):
-            text = f"{endpoint}: no node publishes it, and its type is in no address"
+            meant = self._near(address, "topics")
+            text = f"{endpoint}: no node publishes it, and its type is in no address{meant}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         return self._type("message_details", kind)
 
@@ -155,11 +157,21 @@ class RosbridgeBridge(Bridge):
             return address.type
         actual = str(self._ask("service_type", service=_full(address.name)).get("type") or "")
         if not actual:
-            raise BridgeError(f"{endpoint}: no node serves it", FailureReason.NOT_FOUND)
+            text = f"{endpoint}: no node serves it{self._near(address, 'services')}"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
         if address.type and not _is_same_type(address.type, actual):
             text = f"{endpoint}: it is served as {actual}"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         return actual
+
+    def _near(self, address: Address, kind: str) -> str:
+        """Ask in an error whether a name that the server lists is meant."""
+        name, names = _full(address.name), None
+        with suppress(BridgeError):  # it is about another one
+            names = self._ask(kind).get(kind)
+        known = [str(text) for text in names if text != name] if isinstance(names, list) else []
+        near = get_close_matches(name, known, n=1)
+        return f"; did you mean {near[0]}?" if near else ""
 
     def _service_types(self, kind: str) -> tuple[RosType, RosType]:
         return (
@@ -206,7 +218,7 @@ class RosbridgeBridge(Bridge):
         if not port.peer_required or self._peers(endpoint):
             return
         does = "publishes" if endpoint.role is Role.OUTPUT else "subscribes to"
-        text = f"{endpoint}: no node {does} {_full(address.name)}"
+        text = f"{endpoint}: no node {does} {_full(address.name)}{self._near(address, 'topics')}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
 
     def _peers(self, endpoint: Endpoint) -> frozenset[str]:
@@ -298,7 +310,10 @@ class RosbridgeBridge(Bridge):
             text = str(answer.get("values"))[:1000]
             raise BridgeError(f"{endpoint}: the service failed: {text}")
         self._kinds[endpoint] = kind
-        return reader(reply)(answer.get("values") or {})
+        try:
+            return reader(reply)(answer.get("values") or {})
+        except MessageError as error:
+            raise MessageError(f"{endpoint}: the reply: {error}") from error
 
     def _request(
         self, endpoint: Endpoint, fields: dict[str, Any], deadline: float, timeout: float

@@ -281,7 +281,8 @@ def _reading(shape: RosShape, path: str) -> _Read:
 
         def read_record(value: Any) -> Any:
             if not isinstance(value, dict) or len(value) != len(parts):
-                raise _misfit(path, f"an object of {len(parts)} members", value)
+                members = ", ".join(name for name, _ in parts) or "no member"
+                raise _misfit(path, f"an object of {members}", value)
             try:
                 return {name: read(value[name]) for name, read in parts}
             except KeyError as error:
