@@ -24,7 +24,7 @@ def test_what_has_no_room_until_the_proof_is_counted() -> None:
         await asyncio.Event().wait()
 
     async def play() -> None:
-        link = ManagerLink("robot3", ManagerOptions(), str, str)
+        link = ManagerLink("robot3", ManagerOptions(), str, lambda *_: None)
         streams, shared = FunctionStreams(link), _Stream()
         stream: RemoteStream = RemoteStream(OPENED, {}, nothing, nothing, KEPT)
         stream.hand_over(lambda message: shared.hand_on(stream, message), str)
