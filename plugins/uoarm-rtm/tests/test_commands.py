@@ -160,6 +160,23 @@ def test_the_commands_are_those_of_uoarm(names: str, peer: Start, tmp_path: Path
     assert [row["component"] for row in json.loads(done.stdout)] == ["Worker.rtc"]
 
 
+def test_a_naming_service_that_dies_is_said(tmp_path: Path) -> None:
+    program = """
+from uoarm.cli import main
+from uoarm_rtm import nameserver
+started = nameserver._serves_soon
+def killed(process, *where):
+    found = started(process, *where)
+    process.kill()
+    return found
+nameserver._serves_soon = killed
+main(["rtm", "nameserver", "--port", "0"])
+"""
+    done = run_python("-c", program, env={"TMPDIR": str(tmp_path)})
+    assert (done.returncode, "omniNames ended with -9" in done.stderr) == (4, True)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_naming_service_that_is_ended_as_it_starts_leaves_nothing(
     number: signal.Signals, tmp_path: Path

@@ -292,6 +292,13 @@ def test_a_naming_service_takes_another_port_where_one_is_taken_meanwhile(
             NameServer(used)
 
 
+def test_a_naming_service_takes_no_other_for_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    with NameServer() as first:
+        monkeypatch.setattr(nameserver, "_start", lambda _: pytest.fail("its port is taken"))
+        with pytest.raises(BridgeError, match=f"another .* there: is port {first.port} in use"):
+            NameServer(first.port)
+
+
 def test_a_naming_service_makes_the_folder_of_its_names(tmp_path: Path) -> None:
     with NameServer(folder=tmp_path / "made" / "names"):
         assert list((tmp_path / "made" / "names").iterdir())

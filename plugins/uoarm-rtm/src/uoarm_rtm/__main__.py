@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from uoarm.cli import main as run_command
-from uoarm.errors import CommandLineError
+from uoarm.errors import BridgeError, CommandLineError, FailureReason
 from uoarm.plugins import Command, CommandParser, hookimpl, printable
 
 __all__ = ["main", "uoarm_commands"]
@@ -186,7 +186,10 @@ def _nameserver(port: int, address: str, folder: Path | None) -> int:
         threading.Thread(target=_see_end, args=(server.process, is_over), daemon=True).start()
         while not is_over.wait(_STEP_SECONDS):  # a signal may have come as the wait began
             pass
-        return 0 if was_asked.is_set() else server.process.wait()
+        if was_asked.is_set():
+            return 0
+        text = f"omniNames ended with {server.process.wait()}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE)
 
 
 def _see_end(process: subprocess.Popen[bytes], is_over: threading.Event) -> None:

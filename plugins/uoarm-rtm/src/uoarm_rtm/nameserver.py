@@ -1,6 +1,7 @@
 """A naming service for programs and tests: omniNames, without any other installation.
 
-It listens on loopback and ends with its starter. Importing this module imports no middleware.
+It listens on loopback and ends with its starter, unless that is killed. Importing this module
+imports no middleware.
 
 with NameServer() as names:
     print(names.address)
@@ -78,11 +79,14 @@ class NameServer:
             failing.callback(self._forget)
             for left in reversed(range(tries)):
                 self.port = port or _free_port(address)
-                self.process = _start(nameserver_command(self.port, address, kept))
-                if _serves_soon(self.process, address, self.port):
-                    break
-                if not left:  # else another program took the port meanwhile: try the next
+                ended = "another naming service is there"
+                # Whose answers would pass for those of ours, until that has found no port.
+                if not _is_served(address, self.port):
+                    self.process = _start(nameserver_command(self.port, address, kept))
+                    if _serves_soon(self.process, address, self.port):
+                        break
                     ended = f"omniNames ended with {self.process.returncode}"
+                if not left:  # else another program took the port meanwhile: try the next
                     text = f"{ended}: is port {self.port} in use, the folder writable?"
                     raise BridgeError(text, FailureReason.UNAVAILABLE)
             failing.pop_all()
@@ -134,14 +138,19 @@ def _serves_soon(process: subprocess.Popen[bytes], address: str, port: int) -> b
     with ExitStack() as failing:
         failing.callback(_end, process)
         while process.poll() is None:
-            with suppress(OSError):  # it does not listen yet
-                if _serves(address, port):
-                    failing.pop_all()
-                    return process.poll() is None
+            if _is_served(address, port):
+                failing.pop_all()
+                return process.poll() is None
             if time.monotonic() > deadline:
                 text = f"omniNames did not serve on {address}:{port} within 10 s"
                 raise BridgeTimeoutError(text)
             time.sleep(0.01)
+    return False
+
+
+def _is_served(address: str, port: int) -> bool:
+    with suppress(OSError):
+        return _serves(address, port)
     return False
 
 
