@@ -221,7 +221,7 @@ def test_a_bridge_that_dies_while_a_plan_opens_is_replaced_before_the_reply(
     assert connection.plan.names == ("next", "finder")
     stage.next.emit(2)
     assert connection.get(patience()) == 2
-    assert "component 'best' was lost: it was unplugged" in connection.gaps[0].cause
+    assert "bridge 'one' was lost: it was unplugged" in connection.gaps[0].cause
     wait(lambda: connection.gaps[0].counted)
     assert stage.one.open_channels == 0
     wait(stage.replaced)
@@ -241,7 +241,7 @@ def test_a_bridge_that_dies_while_a_plan_opens_is_why_the_request_fails_without_
         hang.release()
         error = request.exception(patience())
     assert isinstance(error, BridgeError)
-    assert "component 'best' was lost: it was unplugged; nothing takes over" in str(error)
+    assert "bridge 'one' was lost: it was unplugged; nothing takes over" in str(error)
     wait(lambda: (stage.one.open_channels, stage.two.open_channels) == (0, 0))
 
 
