@@ -72,6 +72,14 @@ def test_an_array_of_numpy_gives_what_a_list_gives(
     assert all(low <= number <= high for number in listed)
 
 
+@pytest.mark.parametrize("kind", ["i1", "i2", "i4", "i8"])
+def test_positive_numbers_do_not_wrap_where_they_leave_the_width_of_their_array(kind: str) -> None:
+    items = {"type": "array", "items": {"type": "integer"}}
+    make = adapt(parse({"a": {"from": "a", "scale": 3}}), closed(a=items), ANY).make
+    greatest = int(np.iinfo(kind).max)
+    assert list(make({"a": np.array([greatest], kind)})["a"]) == [3 * greatest]
+
+
 @pytest.mark.parametrize(
     ("numbers", "rule", "expected"),
     [
@@ -214,6 +222,7 @@ def test_an_enum_map_names_values_as_json_does(values: list[Any], names: dict[st
     ("schema", "rule", "expected"),
     [
         ({"enum": [1, True]}, {"enum": {"1": "a", "true": "b"}}, "cannot distinguish True"),
+        ({"enum": [0, False]}, {"enum": {"0": 1, "false": True}}, "cannot distinguish False"),
         ({"enum": [[1]]}, {"enum": {"[1]": "a"}}, "is for texts, numbers"),
         ({"enum": [2.5]}, {"enum": {"2": "a"}}, "says nothing of the value 2.5"),
         ({"type": ["integer", "null"]}, {"scale": 2}, "need a number"),

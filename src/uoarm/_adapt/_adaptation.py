@@ -240,7 +240,7 @@ def _enumerated(
         text = next((text for text in _texts_of(value) if text in known), None)
         if text is None:
             raise UnfitError(where, f"the enum map says nothing of the value {shown(value)}")
-        if value in table and table[value] != known[text]:
+        if value in table and repr(table[value]) != repr(known[text]):
             raise UnfitError(where, f"an enum map cannot distinguish {shown(value)} from its equal")
         table[value] = known[text]
 
