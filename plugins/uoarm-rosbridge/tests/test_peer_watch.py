@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 from uoarm_rosbridge.client import _health
-from uoarm_rosbridge.client._channels import TopicSource
+from uoarm_rosbridge.client._channels import TopicSource, parameter
 
 from uoarm.bridge import Channel, ChannelHealth, ChannelMonitor
+from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import wait
 
@@ -61,3 +62,36 @@ def test_it_wakes_when_something_is_due_and_not_before(monkeypatch: pytest.Monke
         watch.close()
     patient.close()
     short.close()
+
+
+@pytest.mark.parametrize("value", [[], {}, "[" * 100_000, "]"])
+def test_a_parameter_that_cannot_be_read_says_so(value: object) -> None:
+    link: Any = SimpleNamespace(rosapi=lambda _, **__: {"value": value})
+    place = Endpoint("ros", "p", Role.OUTPUT, ("/p",))
+    if isinstance(value, str):
+        with pytest.raises(BridgeError, match="p"):
+            parameter(link, place, "/p")
+    else:
+        assert parameter(link, place, "/p") == value
+
+
+def test_an_answer_that_no_robot_gives_ends_no_watch() -> None:
+    def peers(endpoint: Endpoint) -> frozenset[str]:
+        if endpoint.component == "odd":
+            raise TypeError("unhashable type: 'dict'")
+        return frozenset({"/node"})
+
+    link: Any = SimpleNamespace(is_up=True, ask_again=lambda: None)
+    nothing: Any = None
+    back: list[str] = []
+    watch = _health.PeerWatch(
+        "ros", link, 3600.0, peers, nothing, lambda *_, component: back.append(component)
+    )
+    try:
+        for component in ("odd", "scan"):
+            watch.remember(Endpoint("ros", component, Role.OUTPUT, ("/scan",)))
+        watch.look_anew()
+        wait(lambda: back == ["scan"])
+        assert watch._thread.is_alive()
+    finally:
+        watch.close()

@@ -299,11 +299,11 @@ def parameter(connection: ServerConnection, endpoint: Endpoint, name: str) -> An
     """
     answer = connection.rosapi("get_param", name=name)
     text = answer.get("value")
-    if answer.get("successful") is False or text in {None, "", "null"}:
+    if answer.get("successful") is False or text is None or str(text) in {"", "null"}:
         raise BridgeError(f"{endpoint}: the parameter is not set", FailureReason.NOT_FOUND)
     try:
         return json.loads(str(text))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BridgeError(f"{endpoint}: {error}", FailureReason.BAD_MESSAGE) from error
 
 

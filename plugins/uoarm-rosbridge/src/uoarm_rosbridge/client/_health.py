@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 from weakref import WeakSet
 
-from uoarm.bridge import Channel
+from uoarm.bridge import Channel, LimitedLog
 from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Health, Role
 from uoarm_rosbridge.client._channels import ParameterSource, TopicSink, TopicSource
@@ -50,6 +51,7 @@ class PeerWatch:
         self._lost: dict[str, tuple[Endpoint, frozenset[str]]] = {}
         self._closing, self._poked = threading.Event(), threading.Event()
         self._is_new = self._is_asked = False
+        self._records = LimitedLog("uoarm.rosbridge")
         self._thread = threading.Thread(
             target=self._run, name=f"uoarm-rosbridge-watch-{name}", daemon=True
         )
@@ -101,7 +103,7 @@ class PeerWatch:
                 self._is_asked = False
                 next_look = time.monotonic() + self._check
                 if self._connection.is_up and not self._closing.is_set():
-                    with suppress(BridgeError):
+                    with self._passed_over():
                         self._look()
             due = min(next_look, self._tick())
 
@@ -127,17 +129,27 @@ class PeerWatch:
             self._connection.ask_again()
         for channel in channels:
             if not channel.closed:
-                with suppress(BridgeError):
+                with self._passed_over():
                     self._look_at(channel, is_new=is_new)
         for component, (endpoint, before) in lost.items():
             now = frozenset[str]()
-            with suppress(BridgeError):
+            with self._passed_over():
                 now = self._peers(endpoint)
             if now and now != before:
                 with self._lock:
                     self._lost.pop(component, None)
                 name = address_of(endpoint).name
                 self._report(Health.OK, f"{name} is there again", component=component)
+
+    @contextmanager
+    def _passed_over(self) -> Iterator[None]:
+        """Go on with what comes next where the robot refuses, or answers as no robot should."""
+        try:
+            yield
+        except BridgeError:
+            return
+        except Exception as error:  # noqa: BLE001 - of one answer
+            self._records.write(logging.WARNING, "an answer of rosapi cannot be read", error)
 
     def _look_at(self, channel: Channel, *, is_new: bool) -> None:
         if isinstance(channel, ParameterSource):
