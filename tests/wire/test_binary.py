@@ -315,6 +315,14 @@ def test_dimensions_are_asked_about_before_rows_are_made(data: bytes, says: str)
         assert len(str(caught.value)) < 200
 
 
+def test_a_picture_that_is_too_large_in_rows_is_refused_with_what_to_do() -> None:
+    picture = write_binary(np.zeros((480, 640, 3), np.uint8))
+    says = "500,000 values, as each of an array of 3 dimensions counts: send one without dimensions"
+    with pytest.raises(ControlMessageError, match=says):
+        read_binary(picture, BudgetUse(Budget(elements=500_000)))
+    assert read_binary(picture, BudgetUse(Budget(elements=500_000)), with_numpy=True).shape[2] == 3
+
+
 def test_what_dimensions_make_counts_as_depth() -> None:
     deep = rows([1] * 8)
     for _ in range(7):

@@ -389,7 +389,12 @@ class _ItemDecoders:
                 matrix.flags.writeable = False
                 self.kinds = {*_KINDS, np.ndarray}
                 return matrix
-        self._spending.add(rows + len(items))
+        try:
+            self._spending.add(rows + len(items))
+        except ControlMessageError as error:
+            to_do = "send one without dimensions, or octets, which count as one value"
+            text = f"{error}, as each of an array of {len(sizes)} dimensions counts: {to_do}"
+            raise ControlMessageError(text) from None
         for size in reversed(sizes[1:]):
             items = [list(items[at : at + size]) for at in range(0, len(items), size)]
         return items
