@@ -12,6 +12,7 @@ from tests.server.talk import Talk
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
+from uoarm.server.session import _native
 from uoarm.testing import MemoryBridge
 
 COUNT = 1000
@@ -35,6 +36,8 @@ def test_a_thousand_functions_asked_at_once_are_all_opened(
 ) -> None:
     whole = Mock(wraps=robot.status)
     monkeypatch.setattr(robot, "status", whole)
+    looks = Mock(side_effect=_native._KINDS.get)
+    monkeypatch.setattr(_native, "_KINDS", Mock(get=looks))
     server = serve()
     with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client:
         asked = [client.send("Request", f"f{number}") for number in range(COUNT)]
@@ -42,3 +45,4 @@ def test_a_thousand_functions_asked_at_once_are_all_opened(
         came = {connection: client.data(connection, 1) for connection in opened}
     assert came == {connection: [number] for number, connection in enumerate(opened)}
     assert not whole.called, "what each opening looks at does not grow with what is open"
+    assert looks.call_count == COUNT

@@ -254,11 +254,12 @@ class NativeSession:
         Functions that are being opened count as streams, not as calls. What is asked of the whole
         robot counts by itself: it is answered also where all calls hang.
         """
-        most = self._client.limits.calls
         kind = _KINDS.get(op, "calls")
-        under_way = sum(_KINDS.get(task, "calls") == kind for task in self._tasks.values())
-        if kind and under_way + (len(self._calls) if kind == "calls" else 0) >= most:
-            raise LimitError(f"{most} {kind} are under way; wait for an answer first")
+        if kind:  # a thousand functions may be opened at once: not looked at for each of them
+            most = self._client.limits.calls
+            under_way = sum(_KINDS.get(task, "calls") == kind for task in self._tasks.values())
+            if under_way + (len(self._calls) if kind == "calls" else 0) >= most:
+                raise LimitError(f"{most} {kind} are under way; wait for an answer first")
         return self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
 
     async def _answer(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
