@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import itertools
+import logging
 import os
 import signal
 import sys
@@ -552,6 +553,25 @@ def test_what_comes_of_a_step_whose_waiter_was_interrupted_is_put_away() -> None
     assert late.empty()
     is_active.set()
     assert late.get(timeout=patience()) == "a bridge"
+
+
+def test_how_a_step_fails_whose_waiter_was_interrupted_is_no_news(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.DEBUG, "uoarm")
+    is_active = threading.Event()
+
+    def work() -> None:
+        signal.raise_signal(signal.SIGINT)
+        is_active.wait()
+        raise BridgeError("the manager is closed")
+
+    with pytest.raises(KeyboardInterrupt):
+        deadlines.run("starting it", patience(), work)
+    is_active.set()
+    wait(lambda: bool(caplog.records), "the record of its failure")
+    (record,) = caplog.records
+    assert (record.levelno, "is closed" in record.getMessage()) == (logging.DEBUG, True)
 
 
 def test_what_comes_of_a_step_is_put_away_where_the_signal_comes_as_a_thread_has_it(

@@ -98,6 +98,7 @@ class _Job(Generic[T]):
         self.on_give_up = on_give_up
         self.grace = grace
         self._hangs_in = ""
+        self._level = logging.WARNING  # of the record that it failed late
         self._action = action
         self._on_late = on_late
         self._done = done
@@ -133,7 +134,7 @@ class _Job(Generic[T]):
 
     def _put_away(self) -> None:
         if self._error is not None:
-            _log.warning("%s failed after it was given up: %s", self.step, self._error)
+            _log.log(self._level, "%s failed after it was given up: %s", self.step, self._error)
         elif self._on_late is not None:
             self._on_late(self._result)
 
@@ -149,6 +150,7 @@ class _Job(Generic[T]):
         except BridgeTimeoutError:
             raise
         except BaseException:  # Ctrl-C: its caller waits no longer, as after its deadline
+            self._level = logging.DEBUG  # who ends the whole need not know how its parts end
             if is_begun and not self._give_up():
                 self._put_away()
             raise
