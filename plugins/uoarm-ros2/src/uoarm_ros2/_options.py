@@ -49,7 +49,11 @@ class Ros2BridgeOptions(BridgeOptions):
         {"type": "string", "pattern": "^[A-Za-z_][A-Za-z0-9_]*$"},
         "name of the bridge's node; left out: `uoarm_` and the bridge's name",
     )
-    namespace: str = option("", {"type": "string"}, "of the bridge's node, and of relative names")
+    namespace: str = option(
+        "",
+        {"type": "string", "pattern": f"^({_GRAPH_NAME}|/)?$", "examples": ["/left"]},
+        "of the bridge's node, and of relative names",
+    )
     definitions: tuple[str, ...] = option(
         (),
         {
