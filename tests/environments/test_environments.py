@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from tests.processes import run_program
+from tests.processes import lives, run_program
 
 import uoarm
 from uoarm import environments
 from uoarm.cli import main
 from uoarm.environments import _environment
 from uoarm.errors import PluginError
-from uoarm.testing import patience
+from uoarm.testing import patience, wait
 
 
 @pytest.fixture(autouse=True)
@@ -121,6 +121,21 @@ def test_one_that_fails_is_removed_and_its_last_lines_are_reported(
     assert not (home / "jazzy").exists()
 
 
+def test_what_a_step_has_started_ends_with_it(tmp_path: Path, home: Path) -> None:
+    uv = _fake_uv(tmp_path, "sleep 1000 & echo started $!; wait")
+    started: list[int] = []
+
+    def interrupt(line: str) -> None:
+        if line.startswith("started"):
+            started.append(int(line.split()[1]))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        environments.create("jazzy", ("a",), progress=interrupt, uv=uv)
+    wait(lambda: not lives(started[0]), "it goes on")
+    assert not (home / "jazzy").exists()
+
+
 def test_last_lines_that_were_shown_are_not_shown_again(tmp_path: Path, home: Path) -> None:
     uv = _fake_uv(tmp_path, "echo no such project >&2; exit 2")
     reports: list[str] = []
@@ -154,14 +169,14 @@ def test_a_mark_that_cannot_be_read_is_an_environment_that_was_cut_short(
     assert [environment.is_whole for environment in environments.listed()] == [False]
 
 
-@pytest.mark.parametrize("printed", ["", "hello", "[" * 5000, "[1]", '{"python": "3"}'])
+@pytest.mark.parametrize("printed", ["", "hello", "[" * 5000, "[1]", '{"python": "3"}', r"\377"])
 def test_an_interpreter_that_prints_something_else_is_a_finding(
     tmp_path: Path, home: Path, printed: str
 ) -> None:
     python = environments.create("jazzy", (), uv=_fake_uv(tmp_path, ""))
     python.parent.mkdir(parents=True, exist_ok=True)
     python.unlink(missing_ok=True)
-    python.write_text(f"#!/bin/sh\nprintf '%s' '{printed}'\n")
+    python.write_text(f"#!/bin/sh\nprintf '%b' '{printed}'\n")
     python.chmod(0o755)
     (made,) = environments.listed()
     assert "prints what it was not asked" in environments.examine(made).problem

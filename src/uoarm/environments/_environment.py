@@ -225,6 +225,7 @@ def examine(environment: Environment) -> EnvironmentFinding:
             capture_output=True,
             env=passed_on(os.environ, is_environment=True),
             text=True,
+            errors="replace",
             timeout=_SECONDS,
             check=False,
         )
@@ -278,6 +279,7 @@ def _answer(interpreter: Path, *words: str) -> dict[str, Any]:
             capture_output=True,
             env=passed_on(os.environ, is_environment=True),
             text=True,
+            errors="replace",
             timeout=_SECONDS,
             check=False,
         )

@@ -10,12 +10,14 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
 import zipfile
 from collections import deque
 from collections.abc import Callable, Iterable
+from functools import partial
 from importlib.metadata import Distribution, entry_points
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -263,8 +265,10 @@ def _run(step: list[str], progress: Progress | None) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         env=variables,
+        start_new_session=True,  # what it starts ends with it: that would hold stdout open
     ) as process:
-        limit = threading.Timer(_LIMIT_SECONDS, process.kill)
+        end = partial(os.killpg, process.pid, signal.SIGKILL)
+        limit = threading.Timer(_LIMIT_SECONDS, end)
         limit.daemon = True
         limit.start()
         try:
@@ -272,7 +276,7 @@ def _run(step: list[str], progress: Progress | None) -> None:
             for line in process.stdout:
                 take(line.decode(errors="replace").rstrip())
         except BaseException:
-            process.kill()
+            end()
             raise
         finally:
             limit.cancel()
