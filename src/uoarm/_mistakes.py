@@ -193,7 +193,10 @@ def _forms(error: ValidationError, speller: Speller, write: Callable[[object], s
         inner = [cause for cause in error.context if cause.schema_path[0] == number]
         if len(inner) != 1 or inner[0].absolute_path != error.absolute_path:
             return []
-        ((_, sentence, _, _),) = mistakes(inner[0], speller, write)
+        said = [mistake[1] for mistake in mistakes(inner[0], speller, write)]
+        if len(said) != 1:
+            return []
+        sentence = said[0]
         begin, end = "expected ", f", got {write(error.instance)}"
         if not (sentence.startswith(begin) and sentence.endswith(end)):
             return []

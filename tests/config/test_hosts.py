@@ -47,10 +47,13 @@ def test_a_machine_is_read(tmp_path: Path) -> None:
         ("true", "hosts: {listen: 'tcp/192.0.2.1:7447'}", "without TLS only on loopback"),
         ("true", "hosts: {listen: 'udp/127.0.0.1:7447'}", "expected tls/ADDRESS:PORT"),
         ("true", "hosts: {certificates: keys}", 'the key "listen" is missing'),
+        ("{environment: ../x}", GOOD, "expected text such as ros-jazzy"),
+        ('{python: "/x\\0"}', GOOD, "expected text such as /opt/robot/bin/python"),
+        ("true", 'hosts: {listen: "tls/192.0.2.1:7447", certificates: "k\\0"}', "such as cert"),
     ],
 )
 def test_mistakes_are_reported(tmp_path: Path, host: str, hosts: str, says: str) -> None:
-    report = inspect(_write(tmp_path, host, hosts))
+    report = inspect(_write(tmp_path, host, hosts), missing=lambda _: "")
     assert report.robot is None
     assert [says in str(problem) for problem in report.problems].count(True) == 1
 

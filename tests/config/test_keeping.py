@@ -89,6 +89,24 @@ def test_a_number_is_no_truth_value_and_a_float_no_integer(line: str) -> None:
         assert rewrite(one, without_comments(other)) == other
 
 
+def test_items_whose_names_are_no_texts_are_written_as_a_whole() -> None:
+    parameters = """\
+        parameters:
+          tools:
+            - name: [left]
+              size: 1
+"""
+    own = FILE.replace("        priority: 2", parameters + "        priority: 2")
+    wanted = without_comments(own).replace("size: 1", "size: 2")
+    assert rewrite(own, wanted) == own.replace("size: 1", "size: 2")
+
+
+def test_ends_of_lines_stay_as_they_are() -> None:
+    own = FILE.replace("\n", "\r\n")
+    wanted = without_comments(FILE.replace("priority: 2", "priority: 3"))
+    assert rewrite(own, wanted) == own.replace("priority: 2", "priority: 3")
+
+
 def test_what_is_new_stands_behind_and_what_is_gone_takes_no_comment_of_others_with_it() -> None:
     camera = [*LIKE_FILE["camera"], part("third")]
     made = rewrite(FILE, robot(camera=camera, torch=[part("torch")]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,10 +13,11 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from tests.calls import calls_of
 
-from uoarm.bridge import Registry
-from uoarm.config import loads
+from uoarm.bridge import BridgeType, Registry
+from uoarm.config import inspect, loads
 from uoarm.config._shape import _validator
 from uoarm.errors import ConfigurationError
+from uoarm.testing import MemoryBridge
 
 HEAD = "version: 1\nbridges: {p: {plugin: python}}\n"
 EMPTY = HEAD + "functions: {}\n"
@@ -122,6 +124,23 @@ def test_twice_as_much_costs_twice_as_much(shape: str) -> None:
     make = SHAPES[shape]
     calls(make(2))  # what is imported and made once, also for a plugin that is not there
     assert calls(make(200)) < 2.3 * calls(make(100))
+
+
+def test_what_plugins_doubt_of_twice_as_many_bridges_costs_twice_as_much(tmp_path: Path) -> None:
+    kind = BridgeType(
+        "memory", "", lambda *_: MemoryBridge("lab"), contract=2, doubts=lambda *_: {}
+    )
+    file = tmp_path / "robot.yaml"
+    component = COMPONENT.replace("bridge: p", "bridge: b@")
+
+    def checked(count: int) -> int:
+        bridges = each("b@: {plugin: memory}")(count)
+        made = each(f"  f@: {{components: [{component}]}}", "\n")(count)
+        file.write_text(f"version: 1\nbridges: {{{bridges}}}\nfunctions:\n{made}\n")
+        return calls_of(lambda: inspect(file, {"memory": kind}, missing=str))
+
+    checked(2)
+    assert checked(200) < 2.3 * checked(100)
 
 
 @pytest.mark.parametrize("kind", ["[0]", "{a: 1}", "[]", "null"])

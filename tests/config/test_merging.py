@@ -65,3 +65,13 @@ def test_what_is_in_braces_is_refused() -> None:
     own = OWN.replace("bridges:\n  lab: {plugin: memory}", "bridges: {lab: {plugin: memory}}")
     with pytest.raises(ConfigurationError, match="`bridges` is written in braces"):
         merge(own, SUGGESTED)
+
+
+@pytest.mark.parametrize("end", ["", "\r\n"])
+def test_ends_of_lines_stay_as_they_are(end: str) -> None:
+    own = OWN.replace("\n", "\r\n").removesuffix("\r\n") + end
+    merged = merge(own, SUGGESTED)
+    assert list(loads(merged).functions) == ["camera", "torch"]
+    assert merged.count("\n") == merged.count("\r\n")
+    suggested = SUGGESTED.replace("lab", "far")
+    assert merge(f"\ufeff{end}# nothing yet", suggested).endswith(suggested)

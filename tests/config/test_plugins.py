@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager, _plugins
+from uoarm._mistakes import Speller, schema_mistakes
 from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError
@@ -124,3 +125,14 @@ def test_what_is_installed_is_read_once_and_again_when_something_is_installed(
     os.utime(tmp_path, ns=(0, 1))  # some systems note changes a few milliseconds late
     assert (names(), names()) == ({"late"}, {"late"})
     assert len(reads) == 2
+
+
+def test_a_form_with_several_unknown_keys_is_one_mistake() -> None:
+    forms = [
+        {"type": "string"},
+        {"type": "object", "properties": {}, "additionalProperties": False},
+    ]
+    found = list(schema_mistakes({"a": 1, "b": 2}, {"anyOf": forms}, Speller()))
+    assert [sentence for _, sentence, _, _ in found] == [
+        '{"a": 1, "b": 2} is none of the 2 forms allowed'
+    ]

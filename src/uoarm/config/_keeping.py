@@ -13,8 +13,9 @@ from attrs import evolve, frozen
 
 from uoarm import config
 from uoarm._support import yaml
-from uoarm._support.files import written_beside
+from uoarm._support.files import UnreadableFileError, read_text, written_beside
 from uoarm._support.yaml import Document, Path
+from uoarm.config._load import end_of_lines
 from uoarm.errors import ConfigurationError, UsageError
 from uoarm.model import Robot
 
@@ -128,11 +129,12 @@ def rewrite(text: str, wanted: str) -> str:
     if is_same(config.loads(text), robot):
         return text
     old, new = _Text(text), _Text(wanted)
-    lines = list(old.lines)
+    lines, line_end = text.splitlines(keepends=True), end_of_lines(text)
+    lines[-1] = f"{old.lines[-1]}{line_end}"  # the last one may have no end
     edits = list(_edits(old, old.root, new, new.root))
     for edit in sorted(edits, key=lambda item: (item.first, item.end), reverse=True):
-        lines[edit.first : edit.end] = edit.lines
-    made = "\n".join(lines) + "\n"
+        lines[edit.first : edit.end] = [f"{line}{line_end}" for line in edit.lines]
+    made = "".join(lines)
     try:
         is_made = is_same(config.loads(made), robot)
     except ConfigurationError:
@@ -210,10 +212,11 @@ def _can_be_matched(
         return True
     names = [_name(old, entry) for entry in mine]
     others = [_name(new, entry) for entry in theirs]
-    if None in {*names, *others}:
+    if not all(isinstance(name, str) for name in (*names, *others)):
         return False
-    common = [name for name in names if name in others]
-    shared = [item for item in others if item in names]
+    known, wanted = set(names), set(others)
+    common = [name for name in names if name in wanted]
+    shared = [item for item in others if item in known]
     return common == shared == others[: len(set(common))]
 
 
@@ -284,11 +287,10 @@ class KeptFile:
 
     def _require_unchanged(self, path: FilePath, intro: str = "") -> None:
         try:
-            with path.open("rb") as file:
-                now = file.read(_MOST_OCTETS + 1)
-        except OSError as error:
-            raise ConfigurationError(f"{intro}{path} cannot be read: {error}") from error
-        if now.decode(errors="replace").removeprefix("\ufeff") != self._text:
+            now = read_text(path, _MOST_OCTETS)
+        except UnreadableFileError as error:
+            raise ConfigurationError(f"{intro}{path}: {error}") from error
+        if now.removeprefix("\ufeff") != self._text:
             raise UsageError(
                 f"{intro}{path} was changed since it was read: reload it, and make the change anew"
             )

@@ -229,7 +229,8 @@ def merge(text: str, suggestion: str) -> str:
 
 def is_blank(text: str) -> bool:
     """Say whether a configuration has nothing yet but comments."""
-    return all(line.partition("#")[0].strip() in {"", "---"} for line in text.splitlines())
+    lines = text.removeprefix("\ufeff").splitlines()
+    return all(line.partition("#")[0].strip() in {"", "---"} for line in lines)
 
 
 def _entries(suggestion: str, section: str, known: Container[str]) -> list[str]:
@@ -252,7 +253,8 @@ def _entries(suggestion: str, section: str, known: Container[str]) -> list[str]:
 
 def _with_lines(text: str, section: str, added: list[str]) -> str:
     """Return a text with lines after the last one of a section."""
-    document, lines = read(text, ""), text.splitlines()
+    document, lines = read(text, ""), text.splitlines(keepends=True)
+    line_end = end_of_lines(text)
     assert isinstance(document.value, dict), "it was read before"
     start, end = _lines_of(text, document, section)
     own = document.value[section]
@@ -266,10 +268,17 @@ def _with_lines(text: str, section: str, added: list[str]) -> str:
         column = place.column - 1
     else:
         head, _, rest = lines[start].partition("{}")
-        lines[start] = f"{head.rstrip()}{rest}".rstrip()
-    more = [f"{' ' * column}{line}" if line else line for line in added]
-    end_of_text = "\n" if text.endswith("\n") or end == len(lines) else ""
-    return "\n".join([*lines[:end], *more, *lines[end:]]) + end_of_text
+        lines[start] = f"{head.rstrip()}{rest}".rstrip() + line_end
+    if not lines[end - 1].endswith(line_end[-1]):  # the last one of the text may have no end
+        lines[end - 1] += line_end
+    more = [f"{' ' * column}{line}{line_end}" if line else line_end for line in added]
+    return "".join([*lines[:end], *more, *lines[end:]])
+
+
+def end_of_lines(text: str) -> str:
+    """Return what ends the lines of a text, as its first line shows."""
+    first = text.splitlines(keepends=True)[0] if text else ""
+    return "\r\n" if first.endswith("\r\n") else "\n"
 
 
 def _lines_of(text: str, document: Document, section: str) -> tuple[int, int]:

@@ -24,7 +24,7 @@ from uoarm.config._parts import (
     problem_at,
 )
 from uoarm.config._shape import OF_A_HOST, ShapeChecker, assignables, installation
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import Endpoint, Role, Schema
 
 _PARAMETER_SECONDS = 10.0
@@ -90,6 +90,7 @@ class PluginChecker:
 
         Imports those of Python, each within ten seconds; `absences` has what cannot be asked.
         """
+        read: dict[str | None, Any] = {}
         for component in components(self._document.value):
             bridge, given = component.text("bridge"), component.value.get("parameters", {})
             kind, options = self._bridges.get(bridge or "", (None, None))
@@ -103,12 +104,13 @@ class PluginChecker:
                 continue
             if component.path in self._unreachable:  # of which the cause was said
                 continue
-            written = bridge_options(kind.name, options, self._file)
             try:
-                known = kind.value_of(written, folder_of(self._file))
-                wrong = foreign(self._wrong, kind, address, given, known)
+                if bridge not in read:
+                    written = bridge_options(kind.name, options, self._file)
+                    read[bridge] = kind.value_of(written, folder_of(self._file))
+                wrong = foreign(self._wrong, kind, address, given, read[bridge])
                 if not wrong:
-                    yield from foreign(self._port_problems, kind, component, known)
+                    yield from foreign(self._port_problems, kind, component, read[bridge])
             except Exception as error:  # noqa: BLE001 - a component may raise anything
                 sentence = sentence_of(error)
                 if isinstance(error, BridgeError) and error.reason is FailureReason.BAD_ENDPOINT:
@@ -206,9 +208,10 @@ class PluginChecker:
         yield from self._interpreters()
         yield from self._absent
         yield from self._undescribed
+        places = self._places()
         for name in self._bridges:
             if not self._is_hosted(name) and name not in self._wrong_bridges:
-                yield from self._doubts(name)
+                yield from self._doubts(name, places.get(name, {}))
 
     def _interpreters(self) -> Iterator[Problem]:
         """Yield which hosts have no Python here that could run them."""
@@ -217,26 +220,34 @@ class PluginChecker:
         for name, host in self._hosts.items():
             given = host if isinstance(host, dict) else {}
             named = {key: given[key] for key in OF_A_HOST if isinstance(given.get(key), str)}
-            found, hint = find_interpreter(**named)
+            try:
+                found, hint = find_interpreter(**named)
+            except (PluginError, ValueError):  # which the check of shape reports
+                continue
             if hint:
                 text = f"there is no Python interpreter at {found}"
                 yield self._problem(("bridges", name, "host", next(iter(named))), text, hint)
 
-    def _doubts(self, bridge: str) -> Iterator[Problem]:
+    def _places(self) -> dict[str, dict[tuple[str, ...], list[Path]]]:
+        """Return where the addresses of each bridge stand."""
+        found: dict[str, dict[tuple[str, ...], list[Path]]] = {}
+        for component in (*components(self._document.value), *offers(self._document.value)):
+            owner = component.bridge if isinstance(component, OfferPart) else None
+            places = found.setdefault(owner or component.text("bridge") or "", {})
+            for port in (*component.inputs(), *component.outputs(), *component.services()):
+                address = _address(port.value)
+                if address is not None:
+                    places.setdefault(address, []).append((*port.path, "endpoint"))
+        return found
+
+    def _doubts(
+        self, bridge: str, places: Mapping[tuple[str, ...], list[Path]]
+    ) -> Iterator[Problem]:
         """Yield what a plugin doubts of the options and the addresses of a bridge."""
         kind, options = self._bridges[bridge]
         check = kind.doubts
         if check is None or not isinstance(options, dict):
             return
-        places: dict[tuple[str, ...], list[Path]] = {}
-        for component in (*components(self._document.value), *offers(self._document.value)):
-            owner = component.bridge if isinstance(component, OfferPart) else None
-            if (owner or component.text("bridge")) != bridge:
-                continue
-            for port in (*component.inputs(), *component.outputs(), *component.services()):
-                address = _address(port.value)
-                if address is not None:
-                    places.setdefault(address, []).append((*port.path, "endpoint"))
         whole: Path = ("bridges", bridge, "options") if options else ("bridges", bridge)
         written = bridge_options(kind.name, options, self._file)
         step = f"looking at the addresses of bridge {bridge}"
