@@ -24,6 +24,7 @@ def run(module: str) -> None:
     by itself: an exception could be lost, or reported as another one, within any module's import.
     """
     _open_standard_streams()
+    _write_all_text()
     if not faulthandler.is_enabled():
         faulthandler.enable(all_threads=False)  # a crash in C shows the line that called it
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored
@@ -32,6 +33,15 @@ def run(module: str) -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     command()
+
+
+def _write_all_text() -> None:
+    r"""Write what an encoding has not as JSON, YAML and Python have it, such as `\u2603`.
+
+    A locale need not be of UTF-8, and names of files need not be text.
+    """
+    if getattr(sys.stdout, "errors", "") == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
 
 
 def _open_standard_streams() -> None:

@@ -384,6 +384,25 @@ def test_the_doctor_asks_the_environments_of_a_configuration(tmp_path: Path) -> 
     assert not [name for name in found if name.startswith("near")]
 
 
+@pytest.mark.parametrize(
+    ("host", "cause"),
+    [("python: PYTHON", "it has no uoarm that answers"),
+     ('python: PYTHON, variables: {A: "b\\0"}', "embedded null byte")],
+)  # fmt: skip
+def test_the_doctor_says_what_a_python_that_cannot_be_asked_does(
+    tmp_path: Path, host: str, cause: str
+) -> None:
+    pytest.importorskip("uoarm._host")
+    there = tmp_path / "python"
+    there.write_text("#!/bin/sh\nprintf '\\377'\n")
+    there.chmod(0o755)
+    file = tmp_path / "robot.yaml"
+    host = host.replace("PYTHON", str(there))
+    file.write_text(f"version: 1\nbridges: {{python: {{host: {{{host}}}}}}}\nfunctions: {{}}\n")
+    found = json.loads(run("doctor", str(file), "--json").stdout)
+    assert cause in found[f"python, with {there}"]["usable"]
+
+
 @pytest.mark.parametrize(("consumer", "code"), [({"type": "integer"}, 0), ({"type": "string"}, 1)])
 def test_schema_check_exits_by_its_verdict(tmp_path: Path, consumer: object, code: int) -> None:
     (tmp_path / "a.json").write_text('{"type": "integer", "minimum": 0}')

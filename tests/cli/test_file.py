@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -108,6 +109,31 @@ def test_naming_it_twice_is_refused(file: Path, name: str) -> None:
     done = run(name, *words, file, "-f", "other.yaml")
     assert done.exit_code == 2, done.output
     assert f"the configuration is named twice: {file} and -f other.yaml" in done.output
+
+
+@pytest.mark.parametrize("name", ["record", "host"])
+def test_of_two_files_among_any_number_of_words_none_is_left_out(file: Path, name: str) -> None:
+    done = run(name, "ticks", file, "other.yaml")
+    assert done.exit_code == 2, done.output
+    assert f"the configuration is named twice: {file} and other.yaml" in done.output
+
+
+@pytest.mark.parametrize("name", sorted(CONFIGURED.keys() - {"doctor"}))
+@pytest.mark.parametrize("kind", ["a folder", "not a regular file"])
+def test_what_is_no_file_is_a_configuration_that_cannot_be_read(
+    tmp_path: Path, name: str, kind: str
+) -> None:
+    """A FIFO could be waited for without end."""
+    place = tmp_path / "robot.yaml"
+    place.mkdir() if kind == "a folder" else os.mkfifo(place)
+    more = {
+        "record": ["-o", "run.mcap"],
+        "types": ["--python"],
+        "host": ["python", "--xmlrpc", "0"],
+    }
+    done = run(name, *WORDS.get(name, []), *more.get(name, []), place)
+    assert done.exit_code == 3, done.output
+    assert f"{place}: the file cannot be read: it is {kind}" in done.output
 
 
 @pytest.mark.parametrize("name", ["resolve", "request", "call"])

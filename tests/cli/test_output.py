@@ -81,6 +81,21 @@ def test_a_command_within_a_program_gives_standard_output_back(
     assert capfd.readouterr().out.endswith("the program goes on\n")
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_what_an_encoding_has_not_is_written_as_an_escape(encoding: str, folder: Path) -> None:
+    name = os.fsencode(folder) + b"/\xff.yaml"
+    Path(os.fsdecode(name)).write_text(
+        ROBOT.replace("{components", "{description: Ü ☃, components")
+    )
+    env = {**os.environ, "PYTHONIOENCODING": encoding}
+    for words in (("list",), ("list", "--json"), ("check",)):
+        command = [sys.executable, "-m", "uoarm", *words, name]
+        done = subprocess.run(command, env=env, capture_output=True, check=False)
+        assert done.returncode == 0, done.stderr
+        done.stdout.decode(encoding)
+    assert b"\\udcff.yaml: no errors" in done.stdout
+
+
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
 @pytest.mark.parametrize("words", [COMMANDS[1], COMMANDS[4], COMMANDS[5]], ids=" ".join)
 def test_a_command_runs_where_standard_streams_are_closed(

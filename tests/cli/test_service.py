@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pwd
@@ -114,6 +115,10 @@ def test_the_unit_of_this_repository_has_nothing_wrong(machine: Machine) -> None
         (("--host 127.0.0.1", "--host 0.0.0.0"), "ports", Level.ERROR, "without --access"),
         (("--port ", "--front-end-port x=80 --port "), "ports", Level.ERROR, "80 is root's"),
         (("--log-format json", "--no-such-option"), "start", Level.ERROR, "--no-such-option"),
+        (("--log-format json", '--origin "x'), "start", Level.ERROR, "No closing quotation"),
+        (("Environment=", 'Environment="A=x\nEnvironment='), "state", Level.ERROR, "No closing"),
+        (("--port ", "--front-end-port x=a --port "), "ports", Level.ERROR, "x=a: expected a port"),
+        (("--port ", "--rosbridge-port 70000 --port "), "ports", Level.ERROR, "70000: expected"),
         (("robot.yaml --host", "gone.yaml --host"), "configuration", Level.ERROR, "gone.yaml"),
     ],
 )
@@ -145,6 +150,31 @@ def test_rights_of_secrets_are_looked_at(machine: Machine, rights: int, text: st
     key = machine.file("key.pem", "x", rights)
     found = machine.found(("--log-format json", f"--certificate c.pem --key {key}"))["secrets"]
     assert [str(key) in item.text for item in found] == [True, False]
+
+
+def test_what_who_asks_may_not_look_at_is_found_and_the_rest_is_looked_at(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "is_file", refuse)
+    found = machine.found()
+    (finding,) = found["configuration"]
+    assert finding.level is Level.WARNING
+    assert (
+        finding.text
+        == f"{machine.configuration} cannot be looked at: Permission denied; ask as root"
+    )
+    assert found["ports"][0].level is Level.OK
+
+
+def test_a_drop_in_that_is_no_file_is_not_waited_for(machine: Machine) -> None:
+    folder = machine.folder / "uoarm.service.d"
+    folder.mkdir()
+    os.mkfifo(folder / "10-more.conf")
+    with pytest.raises(UsageError, match=r"10-more\.conf: .* it is not a regular file"):
+        machine.found()
 
 
 def test_a_port_that_another_has_is_found(machine: Machine) -> None:

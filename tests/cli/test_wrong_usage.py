@@ -160,7 +160,7 @@ def test_a_suggestion_that_cannot_be_written_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        _merge_into(tmp_path / "absent" / "robot.yaml", b"", ROBOT)
+        _merge_into(tmp_path / "absent" / "robot.yaml", "", ROBOT)
     said = capsys.readouterr().err
     assert (ended.value.code, "cannot be written" in said) == (1, True), said
     assert said.splitlines()[-1].strip() == "uoarm explain UOA-003 says more"
@@ -213,6 +213,9 @@ def test_help_for_which_there_is_no_room_is_said_as_anything_else() -> None:
         ("lock", "--check", "--lock", "FILE"),
         ("types", "--python", "--lock", "FILE"),
         ("schema", "check", "FILE", "FILE"),
+        ("suggest", "FILE"),
+        ("suggest", "--merge", "FILE"),
+        ("suggest", "other.yaml", "--merge", "FILE"),
     ],
     ids=lambda words: words[0],
 )

@@ -12,7 +12,7 @@ import click
 from attrs import evolve
 
 from uoarm import RobotManager
-from uoarm._support.files import write_whole
+from uoarm._support.files import stamp_of, write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._output import echo, styled
 from uoarm.cli._shared import (
@@ -28,10 +28,11 @@ from uoarm.cli._shared import (
     print_json,
     reporting,
     takes_configuration,
+    text_of_file,
 )
 from uoarm.config import is_blank, load, merge
 from uoarm.config import suggest as suggestion_for
-from uoarm.errors import UsageError
+from uoarm.errors import ConfigurationError, UsageError
 from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json, write_json
 
 _OWN_HEALTH = "status"  # a plugin whose component is the manager, not one of the robot
@@ -92,8 +93,8 @@ def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
     it is there. It may be empty. Inputs are fed by what was proven to fit; where several would do,
     they are listed.
     """
-    before = _octets(into) if into is not None else b""
-    if into is not None and file not in {None, into} and is_blank(before.decode()):
+    before = _text(into) if into is not None else ""
+    if into is not None and file not in {None, into} and is_blank(before):
         raise click.UsageError(
             f"{into} has nothing yet, and would not have what is in {file}: leave {file} out, or "
             f"merge into {file}"
@@ -128,25 +129,22 @@ def _say_unasked(registry: Registry, file: str) -> None:
         echo(f"{text}{''.join(lines)}", err=True)
 
 
-def _octets(path: str | Path) -> bytes:
+def _text(path: str | Path) -> str:
     """Return what is in a file; nothing where there is none."""
-    try:
-        return Path(path).read_bytes()
-    except FileNotFoundError:
-        return b""
+    return text_of_file(path) if stamp_of(Path(path)) else ""
 
 
-def _merge_into(path: Path, before: bytes, lines: str) -> None:
+def _merge_into(path: Path, before: str, lines: str) -> None:
     """Add suggested lines to a file, unless it was changed meanwhile."""
-    merged = merge(before.decode(), lines).encode()
-    if _octets(path) != before:
+    merged = merge(before, lines)
+    if _text(path) != before:
         text = f"{path} was changed meanwhile: nothing was added"
         raise UsageError(text, error_code="UOA-003")
     if merged == before:
         echo(f"{path}: it has everything already")
         return
     try:
-        write_whole(path, merged)
+        write_whole(path, merged.encode())
     except OSError as error:
         fail(f"{path} cannot be written: {error}", REFUSED, "UOA-003")
     echo(f"{path}: {len(merged.splitlines()) - len(before.splitlines())} lines added")
@@ -167,8 +165,8 @@ def looking(
 def _is_empty(file: str) -> bool:
     """Say whether a file has nothing yet, as one that a shell has just made for our output."""
     try:
-        return is_blank(Path(file).read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError):  # what is wrong with it is said when it is read
+        return is_blank(text_of_file(file))
+    except ConfigurationError:  # what is wrong with it is said when it is read
         return False
 
 

@@ -8,7 +8,6 @@ import re
 import sys
 from collections.abc import Awaitable, Callable, Mapping
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
@@ -16,7 +15,6 @@ from attrs import field, fields_dict, frozen
 
 from uoarm import errors
 from uoarm._raised import text_of
-from uoarm._support.files import UnreadableFileError, read_text
 from uoarm.bridge import redirection, tls_fault
 from uoarm.cli._output import UNWRITTEN, echo, styled
 from uoarm.cli._shared import (
@@ -27,6 +25,7 @@ from uoarm.cli._shared import (
     needing,
     reporting,
     takes_configuration,
+    text_of_file,
 )
 from uoarm.model import write_json
 
@@ -225,7 +224,7 @@ def apply(
     """
     if reload_code and rollback is not None:
         raise click.UsageError("--rollback keeps the code as it is: leave --reload-code out")
-    text = _text(file) if rollback is None else ""
+    text = text_of_file(file, _MOST_OCTETS) if rollback is None else ""
 
     async def change_it(robot: Any) -> Mapping[str, Any]:
         try:
@@ -266,15 +265,6 @@ def history(*, server: Remote, as_json: bool) -> None:
         echo(styled(f"revision {revision['revision']}  {when}", bold=True))
         if revision["differences"] or revision["connections"]:
             echo(revision["text"].partition("\n")[2])
-
-
-def _text(file: str) -> str:
-    with reporting():
-        try:
-            return read_text(Path(file), _MOST_OCTETS)
-        except UnreadableFileError as error:
-            text = f"{file}: {error}"
-            raise errors.ConfigurationError(text, error_code="UOA-101") from error
 
 
 @click.command()

@@ -34,8 +34,9 @@ from uoarm.cli._shared import (
     print_warning,
     reporting,
     takes_configuration,
+    text_of_file,
 )
-from uoarm.errors import ListenError, UoarmError
+from uoarm.errors import ConfigurationError, ListenError, UoarmError
 
 if TYPE_CHECKING:
     from uoarm.server import Server, ServerOptions
@@ -369,8 +370,8 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
 def _is_in_force(manager: RobotManager, path: Path) -> bool:
     """Say whether a file holds what was read from it or kept in it last."""
     try:
-        return path.read_text(encoding="utf-8-sig") == manager.config.text
-    except (OSError, ValueError):
+        return text_of_file(path).removeprefix("\ufeff") == manager.config.text
+    except ConfigurationError:
         return False
 
 

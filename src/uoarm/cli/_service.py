@@ -21,6 +21,7 @@ from typing import Any
 import click
 from attrs import frozen
 
+from uoarm._support.files import UnreadableFileError, read_text
 from uoarm.errors import UoarmError, UsageError
 
 _UNREADABLE = "UOA-101"
@@ -32,7 +33,8 @@ _UNITS |= {"min": 60.0, "m": 60.0, "h": 3600.0, "hr": 3600.0, "d": 86400.0}
 _SIZE = re.compile(r"(\d+)([KMGT]?)")
 _LEAST_WATCHDOG, _LEAST_STOP = 2.0, 10.0
 _LEAST_MEMORY = 256 * 2**20
-_LEAST_FREE_PORT = 1024
+_LEAST_FREE_PORT, _LAST_PORT = 1024, 65_535
+_MOST_OCTETS = 1_000_000
 _SECRET = re.compile(r"password|secret|token|(^|_)key(_|$)|credential")
 _LOOPBACK = {"127.0.0.1", "::1", "localhost"}
 _SYSTEMD_SECONDS = 60.0
@@ -129,11 +131,12 @@ def read_unit(path: Path) -> Unit:
         UsageError: one cannot be read.
     """
     drop_ins = sorted(path.parent.joinpath(f"{path.name}.d").glob("*.conf"))
-    try:
-        texts = [file.read_text(encoding="utf-8") for file in (path, *drop_ins)]
-    except (OSError, UnicodeDecodeError) as error:
-        text = f"the unit {path} cannot be read: {error}"
-        raise UsageError(text, error_code=_UNREADABLE) from error
+    texts: list[str] = []
+    for file in (path, *drop_ins):
+        try:
+            texts.append(read_text(file, _MOST_OCTETS))
+        except UnreadableFileError as error:
+            raise UsageError(f"{file}: {error}", error_code=_UNREADABLE) from error
     return Unit(path, tuple(setting for text in texts for setting in _settings(text)))
 
 
@@ -202,12 +205,21 @@ class _Examination:
             self._systemd,
         ):
             name = check.__name__.lstrip("_")
-            found = [Finding(name, level, text) for level, text in check()]
+            found: list[Finding] = []
+            try:
+                found.extend(Finding(name, level, text) for level, text in check())
+            except OSError as error:
+                text = f"{error.filename} cannot be looked at: {error.strerror}; ask as root"
+                found.append(Finding(name, Level.WARNING, text))
             bad = [finding for finding in found if finding.level is not Level.OK]
             yield from bad or found
 
     def _start(self) -> Iterator[tuple[Level, str]]:
-        words = shlex.split(self._unit.value("ExecStart").lstrip("@-:+!"))
+        try:
+            words = shlex.split(self._unit.value("ExecStart").lstrip("@-:+!"))
+        except ValueError as error:
+            yield Level.ERROR, f"ExecStart cannot be read: {error}"
+            return
         if not words:
             yield Level.ERROR, "ExecStart is missing: the unit starts nothing"
             return
@@ -299,10 +311,15 @@ class _Examination:
             return
         options = self._command.options
         host = str(options.get("host") or "127.0.0.1")
-        ports = [int(options.get("port") or 9080)]
-        ports += [int(text.rpartition("=")[2]) for text in options.get("front_end_ports") or ()]
-        if options.get("rosbridge_port"):
-            ports.append(int(options["rosbridge_port"]))
+        given = [options.get("port") or "9080", *(options.get("front_end_ports") or ())]
+        given.append(options.get("rosbridge_port") or "0")
+        ports: list[int] = []
+        for text in given:
+            number = text.rpartition("=")[2]
+            if number.isdecimal() and int(number) <= _LAST_PORT:
+                ports.append(int(number))
+            else:
+                yield Level.ERROR, f"{text}: expected a port, 0 to {_LAST_PORT}"
         if host not in _LOOPBACK and not options.get("access"):
             yield Level.ERROR, f"--host {host} without --access: the server refuses to start"
         if host not in _LOOPBACK and not (options.get("tls") or options.get("certificate")):
@@ -316,7 +333,7 @@ class _Examination:
                 if _is_active(self._unit.path.name):
                     continue  # by the service itself, which runs
                 yield Level.ERROR, f"port {port} of {host} cannot be listened on: {cause}"
-        yield Level.OK, ", ".join(f"{host}:{port}" for port in ports)
+        yield Level.OK, ", ".join(f"{host}:{port}" for port in ports if port)
 
     def _readiness(self) -> Iterator[tuple[Level, str]]:
         unit, watchdog = self._unit, self._unit.value("WatchdogSec")
@@ -366,12 +383,13 @@ class _Examination:
 
     def _state(self) -> Iterator[tuple[Level, str]]:
         unit, written = self._unit, []
-        variables = dict(
-            word.split("=", 1)
-            for line in unit.values("Environment")
-            for word in shlex.split(line)
-            if "=" in word
-        )
+        variables: dict[str, str] = {}
+        for line in unit.values("Environment"):
+            try:
+                words = [word.partition("=") for word in shlex.split(line)]
+                variables.update((name, value) for name, equals, value in words if equals)
+            except ValueError as error:
+                yield Level.ERROR, f"Environment={line} cannot be read: {error}"
         if "XDG_STATE_HOME" in variables:
             written.append(variables["XDG_STATE_HOME"])
         else:
@@ -418,6 +436,7 @@ class _Examination:
                 [program, "verify", str(self._unit.path)],
                 capture_output=True,
                 text=True,
+                errors="replace",
                 timeout=_SYSTEMD_SECONDS,
                 check=False,
             )

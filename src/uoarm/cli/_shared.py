@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-import shutil
 import signal
 import sys
 import textwrap
@@ -23,6 +22,7 @@ from click.shell_completion import CompletionItem
 from uoarm import errors
 from uoarm._forks import default_in_children
 from uoarm._secrets import without_secrets
+from uoarm._support.files import UnreadableFileError, read_text
 from uoarm.cli._output import echo, output, styled
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 REFUSED, CONFIGURATION, BRIDGE, CANNOT_LISTEN, INTERRUPTED = 1, 3, 4, 5, 130
 JSON = "uoarm.json"  # of the context: whether `--json` is among the words
 _NAMED = 20
+_MOST_OCTETS = 10_000_000  # as configurations have at most
 STANDARD = "robot.yaml"
 CONFIGURATION_ENDINGS = (".yaml", ".yml")
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -231,6 +232,18 @@ def open_robot(file: str, stop_file: Path | None = None) -> Iterator[RobotManage
         yield robot
 
 
+def text_of_file(file: str | Path, limit: int = _MOST_OCTETS) -> str:
+    """Return the text of a regular file.
+
+    Raises:
+        ConfigurationError: it cannot be read, has more octets than the limit, or is not UTF-8.
+    """
+    try:
+        return read_text(Path(file), limit)
+    except UnreadableFileError as error:
+        raise errors.ConfigurationError(f"{file}: {error}", error_code="UOA-101") from error
+
+
 def print_json(value: Any) -> None:
     """Print a value of the model, or plain data, as indented JSON."""
     from uoarm.model import to_json, write_json  # noqa: PLC0415 - when first needed
@@ -318,12 +331,18 @@ def print_warning(warning: object) -> None:
     echo(f"{styled('warning:', fg='yellow')} {warning}", err=True)
 
 
-_LEAST = 20
+_LEAST, _USUAL = 20, 80  # a terminal may not know its width
 
 
 def terminal_width() -> int | None:
     """Return the columns of the terminal that stdout is; None where it is none."""
-    return max(_LEAST, shutil.get_terminal_size().columns) if output().isatty() else None
+    if not output().isatty():
+        return None
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdecimal() and int(columns):
+        return max(_LEAST, int(columns))
+    # Not by `shutil`, which looks at what has the number of standard output now.
+    return max(_LEAST, os.get_terminal_size(output().fileno()).columns or _USUAL)
 
 
 def fitted(text: str) -> str:
@@ -375,6 +394,9 @@ def takes_configuration(
                 files = [word for word in options[listed] if word.endswith(CONFIGURATION_ENDINGS)]
                 options[listed] = tuple(word for word in options[listed] if word not in files)
                 place = files[0] if files else None
+                if len(set(files)) > 1:
+                    text = f"the configuration is named twice: {files[0]} and {files[1]}"
+                    raise click.UsageError(text)
             else:
                 place = _sorted(context, words, options)
             options["file"] = file = _chosen(context, place, options["file"], unnamed)
@@ -389,14 +411,12 @@ def takes_configuration(
             "file",
             envvar="UOARM_CONFIG",
             show_default=unnamed.value,
-            type=click.Path(dir_okay=False),
+            type=click.Path(),
             help="Configuration file, in place of FILE; also UOARM_CONFIG.",
         )
         if listed:
             return cast("_Command", option(with_file))
-        argument = click.argument(
-            "place", metavar="[FILE]", required=False, type=click.Path(dir_okay=False)
-        )
+        argument = click.argument("place", metavar="[FILE]", required=False, type=click.Path())
         return cast("_Command", argument(option(with_file)))
 
     return add

@@ -351,16 +351,23 @@ def _asked(interpreter: Path, variables: dict[str, str], plugin: str) -> dict[st
     command = [str(interpreter), "-m", "uoarm", "doctor", "--json"]
     try:
         done = subprocess.run(  # noqa: S603 - the interpreter that the configuration names
-            command, capture_output=True, env=variables, text=True, timeout=_SECONDS, check=False
+            command,
+            capture_output=True,
+            env=variables,
+            text=True,
+            errors="replace",
+            timeout=_SECONDS,
+            check=False,
         )
+    except subprocess.TimeoutExpired:
+        return {"usable": f"no: it did not answer within {_SECONDS:g} s"}
+    except (OSError, ValueError) as error:  # such as a variable that no process can have
+        return {"usable": f"no: {error}"}
+    try:
         report: Any = json.loads(done.stdout)
         found = report.get(plugin, {"usable": f"no: the plugin {plugin} is not installed there"})
         return {"uoarm": report["uoarm"]["version"], **found}
-    except subprocess.TimeoutExpired:
-        return {"usable": f"no: it did not answer within {_SECONDS:g} s"}
-    except OSError as error:
-        return {"usable": f"no: {error}"}
-    except (ValueError, LookupError, TypeError, AttributeError):
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
         last = done.stderr.strip().rpartition("\n")[2]
         return {"usable": f"no: it has no uoarm that answers: {last}"}
 
