@@ -69,6 +69,12 @@ def _octets(path: Path, limit: int) -> bytes:
     return raw
 
 
+def end_of_lines(text: str) -> str:
+    """Return what ends the lines of a text, as its first line shows."""
+    first = text.splitlines(keepends=True)[0] if text else ""
+    return "\r\n" if first.endswith("\r\n") else "\n"
+
+
 def write_whole(path: Path, data: bytes, *, private: bool = False) -> None:
     """Write a file beside its place and move it there; one that stands there is replaced.
 

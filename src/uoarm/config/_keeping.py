@@ -13,9 +13,8 @@ from attrs import evolve, frozen
 
 from uoarm import config
 from uoarm._support import yaml
-from uoarm._support.files import UnreadableFileError, read_text, written_beside
+from uoarm._support.files import UnreadableFileError, end_of_lines, read_text, written_beside
 from uoarm._support.yaml import Document, Path
-from uoarm.config._load import end_of_lines
 from uoarm.errors import ConfigurationError, UsageError
 from uoarm.model import Robot
 

@@ -14,6 +14,7 @@ from attrs import evolve, frozen
 
 from uoarm._arguments import arguments
 from uoarm._mistakes import Speller
+from uoarm._support.files import end_of_lines
 from uoarm._support.yaml import Document, Position, Problem, read, read_file
 from uoarm.bridge import BridgeType
 from uoarm.config._build import build
@@ -273,12 +274,6 @@ def _with_lines(text: str, section: str, added: list[str]) -> str:
         lines[end - 1] += line_end
     more = [f"{' ' * column}{line}{line_end}" if line else line_end for line in added]
     return "".join([*lines[:end], *more, *lines[end:]])
-
-
-def end_of_lines(text: str) -> str:
-    """Return what ends the lines of a text, as its first line shows."""
-    first = text.splitlines(keepends=True)[0] if text else ""
-    return "\r\n" if first.endswith("\r\n") else "\n"
 
 
 def _lines_of(text: str, document: Document, section: str) -> tuple[int, int]:
