@@ -69,6 +69,9 @@ class _MainThread:
 
 def main() -> int:
     """Run one bridge until the manager closes it or dies; return the exit status."""
+    # What an application blocks or ignores is inherited; a bridge ends its own children by signals.
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     with open(0, "rb", buffering=0, closefd=False) as given:
         orders = json.loads(given.readline())
     if not _die_with_parent(orders["parent"]):

@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from io import BufferedWriter
 from pathlib import Path
 from queue import SimpleQueue
@@ -178,13 +178,15 @@ class HostProcess:
             target=self._read, args=(process,), name=f"uoarm-log-{self._name}", daemon=True
         )
         reader.start()
+        status: int | None = None
         if sys.platform == "linux":
             # The number of a process that was not waited for is not given to another one,
             # so children that it left behind can be ended safely.
-            os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+            with suppress(ChildProcessError):  # the application waits for all, or ignores SIGCHLD
+                status = _status(os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT))
             self._send(process.pid, signal.SIGKILL)
             with self._signalling:
-                status = process.wait()
+                process.wait()
                 self._gone.set()
         else:
             status = process.wait()
@@ -206,7 +208,15 @@ class HostProcess:
                     self._log.log(level_of_others if level is None else level, "%s", text)
 
 
-def _how(status: int) -> str:
+def _status(ended: os.waitid_result | None) -> int | None:
+    if ended is None:
+        return None
+    return ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
+
+
+def _how(status: int | None) -> str:
+    if status is None:
+        return "its process ended; the application waits for all children, or ignores SIGCHLD"
     if status >= 0:
         return f"its process ended with status {status}"
     try:

@@ -278,6 +278,11 @@ class LinkSockets:
     incoming: socket.socket
     outgoing: socket.socket
 
+    def __attrs_post_init__(self) -> None:
+        """Take away the time limit that an application may have set for all new sockets."""
+        for item in (self.requests, self.incoming, self.outgoing):
+            item.settimeout(None)
+
     @classmethod
     def make(cls) -> tuple[LinkSockets, LinkSockets]:
         """Return both ends of a link.
