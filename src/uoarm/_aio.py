@@ -8,7 +8,7 @@ import threading
 import time
 from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from contextlib import asynccontextmanager
 from functools import partial, wraps
 from os import PathLike
@@ -26,6 +26,7 @@ from uoarm._hints.applications import T
 from uoarm._raised import LimitedLog, foreign
 from uoarm._renewal import HeldCommand
 from uoarm._support.aio_deadlines import event_by
+from uoarm._support.workers import WorkerExecutor
 from uoarm.bridge import Registry
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (
@@ -53,7 +54,7 @@ _log = logging.getLogger("uoarm")
 class _AsyncProxy(Generic[Threaded_co]):
     """What has the methods of something that blocks, awaited; closed at the end of `async with`."""
 
-    def __init__(self, threaded: Threaded_co, executor: ThreadPoolExecutor) -> None:
+    def __init__(self, threaded: Threaded_co, executor: Executor) -> None:
         self._threaded = threaded
         self._executor = executor
         self._process = generation()
@@ -129,11 +130,11 @@ async def _beside(action: Callable[[], Result]) -> Result:
 class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
     """A connection read from an event loop: `async for`, `await get()`, `async with`.
 
-    However many messages arrive, the loop is woken once until it has read them. Use it from the
-    loop in which it was made. Everything else is as with `Connection`.
+    However many messages arrive, the loop is woken once until it has read them. It is of one loop
+    at a time: that which read last. Everything else is as with `Connection`.
     """
 
-    def __init__(self, connection: Connection[T], executor: ThreadPoolExecutor) -> None:
+    def __init__(self, connection: Connection[T], executor: Executor) -> None:
         super().__init__(connection, executor)
         self._loop = asyncio.get_running_loop()
         self._arrived = asyncio.Event()
@@ -178,7 +179,10 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
 
     async def get(self, timeout: float | None = None) -> T:
         """Return the next message; raises as `Connection.get` does."""
-        deadline = None if timeout is None else self._loop.time() + timeout
+        loop = asyncio.get_running_loop()
+        if loop is not self._loop:  # the one before has ended, as `asyncio.run` does
+            self._loop, self._arrived = loop, asyncio.Event()
+        deadline = None if timeout is None else loop.time() + timeout
         self._threaded._on_wake(self._wake)  # noqa: SLF001 - of ours
         while True:
             self._arrived.clear()
@@ -186,7 +190,7 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
             try:
                 return self._threaded.get(0)
             except TimeoutError:
-                if deadline is not None and self._loop.time() >= deadline:
+                if deadline is not None and loop.time() >= deadline:
                     trouble = self._threaded._trouble()  # noqa: SLF001 - of ours
                     raise TimeoutError(f"no message within {timeout:g} s{trouble}") from None
                 await event_by(self._arrived, deadline)
@@ -216,8 +220,8 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
         if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
         self._callbacks = (*self._callbacks, callback)
-        if self._reading is None:
-            self._reading = self._loop.create_task(self._read())
+        if self._reading is None or self._reading.done():  # with the loop before
+            self._reading = asyncio.get_running_loop().create_task(self._read())
 
         def end() -> None:
             self._callbacks = tuple(
@@ -299,10 +303,10 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
 
     @arguments(robot="AsyncRobotManager.from_file(path) reads a file")
     def __init__(self, robot: RobotManager) -> None:
-        super().__init__(robot, ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-async"))
+        super().__init__(robot, WorkerExecutor("uoarm-async", _AT_ONCE))
         self.robot = robot
         # What ends a connection never waits for a bridge that hangs as another one is opened.
-        self._handling = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-async-handle")
+        self._handling = WorkerExecutor("uoarm-async-handle", _AT_ONCE)
 
     @classmethod
     @arguments(path="AsyncRobotManager(manager) takes a RobotManager")

@@ -203,6 +203,19 @@ async def test_what_is_sent_can_be_flushed(robot: RobotManager) -> None:
         assert (connection.ended, connection.cause, connection.gaps) == (True, "", ())
 
 
+async def test_another_loop_may_read_on(camera: Emitter, robot: RobotManager) -> None:
+    connection = await AsyncRobotManager(robot).request("camera")
+
+    async def read() -> object:
+        reading = asyncio.ensure_future(connection.get(patience()))
+        await asyncio.sleep(0)  # it waits
+        camera.emit(1)
+        return await reading
+
+    assert await read() == 1
+    assert await asyncio.to_thread(asyncio.run, read()) == 1
+
+
 async def test_it_reads_a_file_and_says_what_can_be_had(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text("{version: 1, bridges: {}, functions: {}}")

@@ -10,7 +10,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias, TypeVar
 
 from attrs import define, evolve, field
@@ -19,7 +18,7 @@ from uoarm._interrupts import wait_until
 from uoarm._raised import LimitedLog, sentence_of
 from uoarm._resolve._catalogue import StructureCache, Unavailable
 from uoarm._support import deadlines
-from uoarm._support.workers import WorkerPool
+from uoarm._support.workers import WorkerExecutor, WorkerPool
 from uoarm.bridge import Bridge, Description, Discovered
 from uoarm.errors import ResolutionError, UoarmError
 from uoarm.model import (
@@ -371,7 +370,7 @@ def check_availability(
             return Availability(*found, answer.sentence)
         return Availability(*found, notes=answer.warnings)
 
-    with ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-availability") as pool:
+    with WorkerExecutor("uoarm-availability", _AT_ONCE) as pool:
         found = {
             availability.component: availability
             for availability in pool.map(ask, robot.components())

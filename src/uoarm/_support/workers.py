@@ -6,6 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from contextvars import Context, copy_context
 from functools import partial
@@ -279,6 +280,54 @@ class WorkerPool:
         except BaseException as raised:  # noqa: BLE001 - whatever it is, the thread goes on
             text = f"the callback of a call in a thread of {self._name} failed"
             self._records.write(logging.ERROR, text, raised)
+
+
+class WorkerExecutor(ThreadPoolExecutor):
+    """A pool of workers where an executor is wanted; an event loop takes this class as its default.
+
+    It goes on when the main thread has ended and others of the application live on, which other
+    executors do not, and the interpreter does not wait for a call that hangs.
+
+    Args:
+        name: of the threads.
+        limit: threads at most, as with `WorkerPool`.
+    """
+
+    def __init__(self, name: str, limit: int | None = None) -> None:
+        # Nothing of the base is used: it begins with the first call that it is given.
+        self._pool = WorkerPool(name, limit)
+
+    def submit(self, call: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        """Have a call run in a thread of the pool.
+
+        Raises:
+            RuntimeError: it was shut down, or the system gives no more threads.
+        """
+        future: Future[T] = Future()
+
+        def done(_: Any, error: Exception | None) -> None:
+            if isinstance(error, WorkerPoolClosedError):
+                future.cancel()
+
+        if not self._pool.submit(_settle, future, partial(call, *args, **kwargs), done=done):
+            raise RuntimeError("cannot begin a call: its threads were shut down")
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002, FBT001, FBT002 - as the base has it
+        """Take no more calls. Idempotent; waits for none, not even where it is asked to."""
+        self._pool.close(drop=cancel_futures)
+
+
+def _settle(future: Future[T], call: Callable[[], T]) -> None:
+    if not future.set_running_or_notify_cancel():
+        return
+    try:
+        result = call()
+    except BaseException as error:  # noqa: BLE001 - of who waits for the future
+        future.set_exception(contained(error))
+        del future  # its error has this frame
+    else:
+        future.set_result(result)
 
 
 @frozen

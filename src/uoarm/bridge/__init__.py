@@ -6,6 +6,7 @@ from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import LimitedLog, foreign, text_of
+from uoarm._support.workers import WorkerExecutor
 from uoarm.bridge._border import Delivery, reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._channel import Channel, Outcomes, ReceiveQueue, Sink, Source
@@ -83,6 +84,7 @@ __all__ = [
     "TlsOptions",
     "TurnCounter",
     "Turns",
+    "WorkerExecutor",
     "address_check",
     "asking",
     "asking_managers",

@@ -12,12 +12,14 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from uoarm._raised import LimitedLog, contained
+from uoarm._support.workers import WorkerExecutor
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 if TYPE_CHECKING:
     import asyncio
 
 _CLOSE_SECONDS = 1.0
+_WAITING = 32  # threads for what a coroutine has wait outside the loop
 _log = logging.getLogger("uoarm")
 _Outcome: TypeAlias = tuple[Any, Exception | None]
 
@@ -73,6 +75,7 @@ class LoopThread:
             import asyncio  # noqa: PLC0415 - slow, and of coroutines only
 
             loop = asyncio.new_event_loop()
+            loop.set_default_executor(WorkerExecutor(f"{self._name}-wait", _WAITING))
             thread = threading.Thread(target=_work, args=(loop,), name=self._name, daemon=True)
             try:
                 thread.start()

@@ -28,6 +28,7 @@ from uoarm._interrupts import Uninterrupted
 from uoarm._raised import ContainedError, LimitedLog, foreign
 from uoarm._support.aio_deadlines import result_within
 from uoarm._support.process_tuning import keep_memory, short_switch_interval
+from uoarm._support.workers import WorkerExecutor
 from uoarm.errors import UsageError
 from uoarm.server._options import ServerOptions
 from uoarm.server._server import Server
@@ -100,6 +101,7 @@ def _seconds(given: str) -> float:
 
 _START_SECONDS = 10.0
 _END_SECONDS = 10.0
+_WAITING = 32  # threads for what the loop waits for, such as the names of machines
 _LATE = "the server does not listen: its start takes too long"
 _log = logging.getLogger("uoarm.server")
 _YOUNG_OBJECTS, _YOUNG_LOOKS, _OLDEST, _LOOKS = 20_000, 1, 2, 10
@@ -310,6 +312,7 @@ def _new_loop() -> asyncio.AbstractEventLoop:
         loop = asyncio.new_event_loop()
     else:
         loop = uvloop.new_event_loop()
+    loop.set_default_executor(WorkerExecutor("uoarm-serve-wait", _WAITING))
     loop.set_exception_handler(_on_exception)
     return loop
 

@@ -24,6 +24,7 @@ from uoarm.bridge import (
     Backoff,
     Disconnection,
     LimitedLog,
+    WorkerExecutor,
     asking_managers,
     redirection,
     refuse_loop,
@@ -60,6 +61,7 @@ _JOIN_SECONDS = 2.0
 _MOST_TOKEN = 4096
 CONNECTING_ERRORS = (OSError, InvalidHandshake, TimeoutError, asyncio.TimeoutError, UoarmError)
 """What connecting to another manager raises."""
+_WAITING = 32  # threads for what the loop waits for, such as the names of machines
 
 
 class LinkMember(Protocol):
@@ -102,6 +104,7 @@ class ManagerLink:
         self._tried, self._is_closing = threading.Event(), False
         self._thread: threading.Thread | None = None
         self._loop = asyncio.new_event_loop()
+        self._loop.set_default_executor(WorkerExecutor(f"uoarm-remote {name}", _WAITING))
         self._closing: asyncio.Event | None = None
         self._robot: RemoteRobot | None = None  # in the loop only
         self._down_since: float | None = None

@@ -6,11 +6,10 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from difflib import get_close_matches
 from functools import cached_property
 
-from uoarm.bridge import Description, Discovered
+from uoarm.bridge import Description, Discovered, WorkerExecutor
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Role
 from uoarm_ros1._master import GraphState
@@ -100,7 +99,7 @@ class Graph:
         unknown = [name for name in wanted if name not in self._alive]
         if len(unknown) > 1:
             try:
-                with ThreadPoolExecutor(_AT_ONCE, "uoarm-ros1-ask") as pool:
+                with WorkerExecutor("uoarm-ros1-ask", _AT_ONCE) as pool:
                     tuple(pool.map(self.is_alive, unknown))
             except RuntimeError as error:  # no thread can begin any more
                 raise BridgeError("this process is ending", FailureReason.CLOSED) from error

@@ -12,13 +12,12 @@ import difflib
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from attrs import define, field, frozen
 from omniORB import CORBA
 
-from uoarm.bridge import Description, Discovered
+from uoarm.bridge import Description, Discovered, WorkerExecutor
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Role
 from uoarm_rtm._control import DESCRIPTIONS, limits
@@ -136,7 +135,7 @@ class Directory:
         if len(asked) < 2:  # noqa: PLR2004
             return tuple(map(ask, asked))
         try:
-            with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-look") as pool:
+            with WorkerExecutor("uoarm-rtm-look", _AT_ONCE) as pool:
                 return tuple(pool.map(ask, asked))
         except RuntimeError as error:  # no thread can begin any more
             raise BridgeError("this process is ending", FailureReason.CLOSED) from error

@@ -23,7 +23,6 @@ import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ from _uoarm_rtm_stubs import RTC, SDOPackage
 from attrs import frozen
 from omniORB import CORBA
 
-from uoarm.bridge import at_exit
+from uoarm.bridge import WorkerExecutor, at_exit
 from uoarm.errors import BridgeError, UsageError
 from uoarm.plugins import user_folder
 from uoarm_rtm._orb import Orb, calls, limit
@@ -297,7 +296,7 @@ def end_leftovers(orb: Orb, seconds: float) -> int:
     for token, entries in journal().left():
         if not entries:
             continue
-        with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-clear") as pool:
+        with WorkerExecutor("uoarm-rtm-clear", _AT_ONCE) as pool:
             for entry, is_ended in zip(entries, pool.map(end, entries), strict=True):
                 if is_ended:
                     journal().erase(entry.id, token)

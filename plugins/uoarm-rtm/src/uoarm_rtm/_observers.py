@@ -17,12 +17,12 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA, SDOPackage
 from omniORB import CORBA
 
+from uoarm.bridge import WorkerExecutor
 from uoarm.errors import BridgeError
 from uoarm_rtm._health import WatchedComponent
 from uoarm_rtm._journal import NAME, PROCESS, JournalEntry, end_observer, journal
@@ -186,7 +186,7 @@ class Observers:
                 if time.monotonic() < deadline:
                     observed.remove()
         elif left:
-            with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-observers") as pool:
+            with WorkerExecutor("uoarm-rtm-observers", _AT_ONCE) as pool:
                 list(pool.map(_Observed.remove, left))
 
     def _all(self) -> list[_Observed]:

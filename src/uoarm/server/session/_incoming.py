@@ -11,7 +11,6 @@ import time
 import zlib
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from websockets.exceptions import ProtocolError
@@ -23,6 +22,7 @@ from websockets.extensions.permessage_deflate import (
 from websockets.frames import CTRL_OPCODES, CloseCode, Frame, Opcode
 from websockets.typing import ExtensionParameter
 
+from uoarm._support.workers import WorkerExecutor
 from uoarm.server._limits import Limits
 
 if TYPE_CHECKING:
@@ -436,7 +436,7 @@ class FrameDecoder:
     """
 
     def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="uoarm-decode")
+        self._thread = WorkerExecutor("uoarm-decode", 1)
 
     async def run(self, octets: int, decode: Callable[[], T]) -> T:
         """Return the result of `decode`, which takes time in proportion to `octets`."""

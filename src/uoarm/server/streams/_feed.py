@@ -8,7 +8,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, Protocol, TypeAlias, TypeVar
 
@@ -17,6 +16,7 @@ from attrs import define, field, frozen
 from uoarm._control import Connection
 from uoarm._dataplane import Clock, Outlet
 from uoarm._raised import LimitedLog, contained, foreign
+from uoarm._support.workers import WorkerExecutor
 from uoarm._wire import is_octets
 from uoarm.errors import MessageError
 from uoarm.model import Message, ValidationMode, message_octets
@@ -107,7 +107,7 @@ class Encoder:
     """
 
     def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="uoarm-encode")
+        self._thread = WorkerExecutor("uoarm-encode", 1)
         self._closed = False
 
     def start(self, write: Callable[[], object]) -> asyncio.Future[object] | None:
