@@ -14,7 +14,8 @@ import ctypes
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -113,14 +114,42 @@ def _set_handler(number: int, handler: Any) -> None:
     A library may have set that without Python's knowledge, and call Python's handler from there, as
     rclpy does, whose own waits else no signal would end any more. Python sets both.
     """
-    below = (ctypes.c_char * _ACTION_OCTETS)()
-    if _sigaction is not None:
-        _sigaction(number, None, below)
+    below = _below(number)
     try:
         _signal.signal(number, handler)
     finally:
-        if _sigaction is not None:
-            _sigaction(number, below, None)
+        _set_below(number, below)
+
+
+def _below(number: int) -> Any:
+    below = (ctypes.c_char * _ACTION_OCTETS)()
+    if _sigaction is not None:
+        _sigaction(number, None, below)
+    return below
+
+
+def _set_below(number: int, below: Any) -> None:
+    if _sigaction is not None:
+        _sigaction(number, below, None)
+
+
+@contextmanager
+def handlers_kept(numbers: Iterable[int]) -> Iterator[None]:
+    """Have signals handled after a `with` block as before it, by Python and by what lies below.
+
+    An event loop that ends leaves Python's own handlers. Only in the main thread.
+    """
+    wakes = signal.set_wakeup_fd(-1)
+    former = [(number, _signal.getsignal(number), _below(number)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler, below in former:
+            if handler is not None:  # else it was never Python's
+                _signal.signal(number, handler)
+            _set_below(number, below)
+        with suppress(OSError, ValueError):  # it was closed meanwhile
+            signal.set_wakeup_fd(wakes)
 
 
 def wait_step(left: float | None = None) -> float | None:

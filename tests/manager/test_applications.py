@@ -114,3 +114,32 @@ def test_an_interrupt_ends_a_process_in_which_a_call_hangs(folder: Path) -> None
     (folder / "program.py").write_text(LEAVES)
     done = run_python("program.py", str(patience()), cwd=folder)
     assert (done.stderr, done.returncode) == ("", 7)
+
+
+SERVES = """
+import os, signal, socket, threading
+from uoarm import RobotManager
+from uoarm.server import ServerOptions, run
+
+def end(server):
+    threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGTERM)).start()
+
+def own(number, frame):
+    print("own", number == signal.SIGTERM)
+
+near, far = socket.socketpair()
+near.setblocking(False)
+signal.set_wakeup_fd(near.fileno())
+signal.signal(signal.SIGTERM, own)
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+with RobotManager.from_file("robot.yaml") as robot:
+    run(robot, ServerOptions(port=0), ready=end)
+    print("served")
+    signal.raise_signal(signal.SIGTERM)
+    signal.raise_signal(signal.SIGINT)
+    print(far.recv(9) == bytes([signal.SIGTERM]))
+"""
+
+
+def test_signals_are_an_applications_own_again_when_it_has_served(folder: Path) -> None:
+    assert run(folder, SERVES) == ["served", "own True", "True"]

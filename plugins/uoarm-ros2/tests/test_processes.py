@@ -87,6 +87,7 @@ import os, signal, sys, threading, time
 import rclpy
 from uoarm import RobotManager
 from uoarm.config import loads
+from uoarm.server import ServerOptions, run
 
 rclpy.init(args=[])
 node = rclpy.create_node("application")
@@ -98,7 +99,11 @@ def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
 with RobotManager(loads(sys.argv[1])) as manager:
-    manager.request("show").kill()
+    if sys.argv[2] == "request":
+        manager.request("show").kill()
+    else:
+        end = threading.Thread(target=signal.raise_signal, args=(signal.SIGTERM,))
+        run(manager, ServerOptions(port=0), ready=lambda server: end.start())
     threading.Thread(target=interrupt).start()
     try:
         rclpy.spin(node)
@@ -119,10 +124,11 @@ functions:
 """
 
 
-def test_a_signal_ends_what_an_application_spins_after_a_request(tmp_path: Path) -> None:
+@pytest.mark.parametrize("what", ["request", "run"])
+def test_a_signal_ends_what_an_application_spins_afterwards(tmp_path: Path, what: str) -> None:
     script = tmp_path / "application.py"
     script.write_text(SPUN)
-    done = run_python(script, SPUN_CONFIGURATION)
+    done = run_python(script, SPUN_CONFIGURATION, what)
     assert (done.stdout, done.stderr, done.returncode) == ("ended\n", "", 0)
 
 

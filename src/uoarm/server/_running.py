@@ -24,7 +24,7 @@ from typing import Any
 from uoarm._arguments import arguments
 from uoarm._control import RobotManager
 from uoarm._forks import at_exit, default_in_children
-from uoarm._interrupts import Uninterrupted
+from uoarm._interrupts import Uninterrupted, handlers_kept
 from uoarm._raised import ContainedError, LimitedLog, foreign
 from uoarm._support.aio_deadlines import result_within
 from uoarm._support.process_tuning import keep_memory, short_switch_interval
@@ -127,7 +127,8 @@ def run(
     the loop waits less for them (`sys.setswitchinterval`). `UOARM_SWITCH_INTERVAL` says another
     number of milliseconds. The collector of cycles rarely looks at all that lives. And glibc's
     allocator keeps, for good, up to 256 MB that were freed, since pictures cost twice the processor
-    time where it does not; `MALLOC_TRIM_THRESHOLD_` in the environment says otherwise.
+    time where it does not; `MALLOC_TRIM_THRESHOLD_` in the environment says otherwise. Afterwards
+    signals are handled as before.
 
     Args:
         robot: the manager; it stays open.
@@ -142,7 +143,7 @@ def run(
         ListenError: a port is taken.
     """
     keep_memory()
-    with short_switch_interval():
+    with short_switch_interval(), handlers_kept(_SIGNALS):
         # Front ends are imported. Python drops what a signal raises in a callback of its import
         # system, or leaves the lock of all imports taken, for which other threads then wait.
         with Uninterrupted():
