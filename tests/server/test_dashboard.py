@@ -608,6 +608,8 @@ def test_the_page_comes_back_when_the_server_does(browser: Browser, robot: Robot
         browser.go(f"http://127.0.0.1:{port}/#/graph/function/camera/use")
         browser.click(".button.main", "Watch")
         browser.until(says(".panel", "No message yet"))
+        # A server that closes refuses what it has not opened yet.
+        eventually(lambda: robot.status().connections != (), "it is open")
     browser.until("document.querySelector('.link-state.closed')")
     browser.until(says(".panel .notice", "broke"))
     front.put(END)  # for the camera that was watched: it waits for a picture still

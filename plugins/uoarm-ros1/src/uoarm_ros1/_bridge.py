@@ -254,7 +254,8 @@ class Ros1Bridge(Bridge):
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         who = f"node {port.node} does not publish" if port.node else "no node publishes"
         known = graph.state.publishers
-        text = f"{endpoint}: {who} {topic}{graph.seen_as(topic, address.type, known)}"
+        text = f"{endpoint}: {who} {topic}"
+        text += graph.seen_as(topic, address.type, () if port.node else known)
         if port.node:
             text += near(self._node.resolve(port.node), known.get(topic, ()))
         raise BridgeError(text, FailureReason.NOT_FOUND)
@@ -273,7 +274,7 @@ class Ros1Bridge(Bridge):
             who = f"node {port.node} does not subscribe" if port.node else "no node subscribes"
             known = graph.state.subscribers
             text = f"{endpoint}: {who} to {topic}"
-            text += graph.seen_as(topic, address_of(endpoint).type, known)
+            text += graph.seen_as(topic, address_of(endpoint).type, () if port.node else known)
             if port.node:
                 text += near(self._node.resolve(port.node), known.get(topic, ()))
             raise BridgeError(text, FailureReason.NOT_FOUND)

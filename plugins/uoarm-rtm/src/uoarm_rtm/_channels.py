@@ -317,8 +317,8 @@ class InPortSink(Sink):
             unasked = self._buffer.waiting if self._outlet is not None and self.health.lost else 0
             lost = self._lost_on_link + unasked
             facts |= {"dropped": self._buffer.dropped, "lost_on_link": lost}
-            if self._outlet is None:
-                facts["under_way"] = self._buffer.unsent
+            if isinstance(self._buffer, ThreadedPusher):
+                facts["under_way"] = self._buffer.under_way
         return facts
 
     def _require_open(self) -> None:

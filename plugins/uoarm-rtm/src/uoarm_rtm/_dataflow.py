@@ -263,7 +263,8 @@ class ThreadedPusher(Buffer):
         self._every = push.skipped + 1 if push.which == "skip" else 1
         self._period = period
         self._passed = 0
-        self._left = 0  # of what was taken to be sent
+        self._left = 0  # of what was taken to be sent, without the one that is being put
+        self._is_putting = False
         self._ended = threading.Event()
         threading.Thread(target=self._run, name="uoarm-rtm-push", daemon=True).start()
 
@@ -274,23 +275,30 @@ class ThreadedPusher(Buffer):
 
     @property
     def unsent(self) -> int:
-        """How many messages are to be sent, of those that wait or were taken for it."""
+        """How many messages are to be sent still; `put` counts what becomes of one it has."""
         with self._changed:
             waiting = len(self._waiting) if self._push.which != "new" else bool(self._waiting)
             return (
                 self._left + (self._passed + waiting) // self._every - self._passed // self._every
             )
 
+    @property
+    def under_way(self) -> int:
+        """How many messages are to be sent still, or are being put."""
+        return self.unsent + self._is_putting
+
     def _run(self) -> None:
         most = 1 if self._push.which == "fifo" else None
         while waiting := self.take(most):
             chosen = self._chosen(waiting)
-            for index, data in enumerate(chosen):
-                self._left = len(chosen) - index
+            self._left = len(chosen)
+            for data in chosen:
                 if self._ended.is_set():
                     return
+                self._is_putting = True
+                self._left -= 1
                 self._put(data)
-            self._left = 0
+                self._is_putting = False
             self._ended.wait(self._period)
 
     def _chosen(self, waiting: Sequence[bytes]) -> list[bytes]:

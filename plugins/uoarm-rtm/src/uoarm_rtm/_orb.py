@@ -284,20 +284,10 @@ class Orb:
             destroying.start()
 
 
-def limit(reference: Any, seconds: float | None) -> Any:
-    """Set the time limit of all calls through this reference, None for none; return it."""
-    omniORB.setClientCallTimeout(reference, 0 if seconds is None else max(1, int(seconds * 1000)))
+def limit(reference: Any, seconds: float) -> Any:
+    """Set the time limit of all calls through this reference, and return it."""
+    omniORB.setClientCallTimeout(reference, max(1, int(seconds * 1000)))
     return reference
-
-
-@contextmanager
-def limited(seconds: float) -> Iterator[None]:
-    """Limit this thread's calls through references without a limit; others may use them, too."""
-    omniORB.setClientThreadCallTimeout(max(1, int(seconds * 1000)))
-    try:
-        yield
-    finally:
-        omniORB.setClientThreadCallTimeout(0)
 
 
 def narrowed(reference: Any, interface: Any, seconds: float, what: str) -> Any:

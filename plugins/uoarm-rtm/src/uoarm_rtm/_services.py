@@ -18,7 +18,7 @@ from uoarm.bridge import Channel, Description, LimitedLog, foreign, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message, MessageStructure
 from uoarm_rtm._descriptors import RETURN, IdlInterface, IdlOperation
-from uoarm_rtm._orb import Orb, corba_errors, limit, limited, narrowed
+from uoarm_rtm._orb import Orb, corba_errors, limit, narrowed
 from uoarm_rtm._peer import (
     Connections,
     Connector,
@@ -137,7 +137,7 @@ class OperationCaller:
         # Guards connector and object: one call connects, `end` of another thread disconnects.
         self._lock = threading.Lock()
         self._connector: Connector | None = None
-        self._object: Any = None
+        self._reference = ""
         self.ended = False
 
     def call(self, message: Message, seconds: float, whose: str) -> Message:
@@ -154,14 +154,16 @@ class OperationCaller:
         natives = chosen.arguments(arguments)
         what = f"{self._where}: {self._interface.name}::{chosen.name}"
         try:
-            target, is_new = self._reach()
+            reached, is_new = self._reach()
+            # A reference of this call alone, as its limit holds for all calls through it.
+            target = limit(reached, seconds)
         except BridgeTimeoutError:
             raise
         except BridgeError:
             self.end()
             raise
         try:
-            with corba_errors(what), limited(seconds):
+            with corba_errors(what):
                 try:
                     result = getattr(target, chosen.name)(*natives)
                 except CORBA.OBJECT_NOT_EXIST as error:
@@ -185,17 +187,17 @@ class OperationCaller:
         """Disconnect for good: a call that has not begun yet fails, and connects no more."""
         with self._lock:
             self.ended = True
-            connector, self._connector, self._object = self._connector, None, None
+            connector, self._connector, self._reference = self._connector, None, ""
         if connector is not None:
             connector.disconnect()
 
     def _reach(self) -> tuple[Any, bool]:
-        """Return the object, and whether this has connected to it."""
+        """Return a reference to the object, and whether this has connected to it."""
         with self._lock:
             if self.ended:
                 text = f"{self._where}: the connection has ended, or the bridge was closed"
                 raise BridgeError(text, FailureReason.CLOSED)
-            is_new = self._object is None
+            is_new = not self._reference
             if is_new:
                 connector = self._connections.connect(self._where, {}, self._port)
                 names = f"{self._offer.type}.{self._offer.name}"
@@ -204,14 +206,14 @@ class OperationCaller:
                 )
                 try:
                     reference = self._orb.reference(ior)
-                    reached = narrowed(reference, self._interface.stub, self._seconds, self._where)
-                    # Each call has a limit of its own, and several come at once.
-                    self._object = limit(reached, None)
+                    narrowed(reference, self._interface.stub, self._seconds, self._where)
                 except BridgeError:
                     connector.disconnect()
                     raise
-                self._connector = connector
-            return self._object, is_new
+                self._connector, self._reference = connector, ior
+            reached = self._orb.reference(self._reference)
+            narrow = reached._unchecked_narrow(self._interface.stub)  # noqa: SLF001 - of CORBA's API
+            return narrow, is_new
 
 
 def _declared(operation: IdlOperation, error: Any, what: str) -> BridgeError:
