@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,6 +12,8 @@ from attrs import evolve
 from endpoints import endpoint, sink, source, stamped
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
+from uoarm_rtm._bridge import RtmBridge
+from uoarm_rtm._channels import InPortSink
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -255,3 +257,26 @@ def test_what_moves_is_stopped_before_it_is_released(
     wait(lambda: component.received() == [stamped(5)])
     into.close()
     assert component.received() == [stamped(5), stamped(0)]
+
+
+@pytest.mark.parametrize("subscription", ["flush", "new"])
+def test_a_component_is_active_until_the_stop_has_arrived(
+    bridge: Bridge, peer: Start, subscription: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    component, made = peer("Listener"), cast(RtmBridge, bridge)
+    policy = CommandPolicy(3600, StopMessage(stamped(0)))
+    options = {"activate": True, "subscription": subscription}
+    at = evolve(endpoint(Role.INPUT, "Listener.rtc", "in", **options), command=policy)
+    into = sink(bridge, at)
+    into.send(stamped(5))
+    wait(lambda: component.received() == [stamped(5)])
+    stop = InPortSink._before_close
+
+    def look_and_stop(channel: InPortSink) -> None:
+        made._active.tick()  # as the watch may at any time
+        stop(channel)
+
+    monkeypatch.setattr(InPortSink, "_before_close", look_and_stop)
+    into.close()
+    assert component.received() == [stamped(5), stamped(0)]
+    assert not made._active.checks(), "it was let go of"

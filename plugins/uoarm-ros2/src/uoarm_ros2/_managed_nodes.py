@@ -188,7 +188,10 @@ class NodeLease:
     @property
     def is_over(self) -> bool:
         """Whether the node is not needed any more for this."""
-        return self.is_released or (self.channel is not None and self.channel.closed)
+        channel = self.channel
+        # One that is being closed needs it still, for its stop message.
+        is_gone = channel is not None and channel.closed and not channel.is_closing
+        return self.is_released or is_gone
 
 
 class ManagedNode:

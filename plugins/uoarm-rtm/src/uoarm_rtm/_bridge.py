@@ -297,7 +297,7 @@ class RtmBridge(Bridge):
             RtmEndpointOptions.of_endpoint(endpoint),
             self._options.call_seconds,
             self.report,
-            partial(self._active.tick, peer.path),
+            self._active.leave,
         )
 
     def _port(self, endpoint: Endpoint, address: PortAddress) -> tuple[PeerComponent, PeerPort]:

@@ -188,7 +188,7 @@ class OutPortSource(Source):
         try:
             self._connector.disconnect()
         finally:
-            self._remote.ended()
+            self._remote.ended(self)
 
     def _withdraw(self) -> None:
         if self._inlet is not None:
@@ -400,7 +400,7 @@ class InPortSink(Sink):
         try:
             self._connector.disconnect()
         finally:
-            self._remote.ended()
+            self._remote.ended(self)
 
     def _withdraw(self) -> None:
         if self._buffer is not None:
@@ -458,4 +458,4 @@ class NativeConnector(Channel):
             self._connector.disconnect()
         finally:
             for remote in self._ends:
-                remote.ended()
+                remote.ended(self)

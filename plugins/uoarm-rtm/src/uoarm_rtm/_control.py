@@ -459,13 +459,21 @@ class Activations:
             entries = list(self._known.values())
         return [known.check for known in entries if not self._is_used(known)]
 
-    def tick(self, path: str = "") -> None:
-        """Deactivate what we activated and no open channel needs; with a path, only that one."""
+    def leave(self, channel: Channel) -> None:
+        """Deactivate what we activated and no other channel than this one needs."""
         with self._guard:
-            found = [known for name, known in self._known.items() if path in {"", name}]
+            found = [known for known in self._known.values() if channel in known.users]
+            for known in found:
+                known.users.discard(channel)
         for known in found:
-            if not self._is_used(known):
-                known.check()
+            known.check()
+
+    def tick(self) -> None:
+        """Deactivate what we activated and no channel needs."""
+        with self._guard:
+            found = list(self._known.values())
+        for known in found:
+            known.check()
 
     def end(self, known: _Activation) -> None:
         """Deactivate one that no channel needs, and leave it out; the caller holds its lock."""
@@ -485,5 +493,7 @@ class Activations:
 
     def _is_used(self, known: _Activation) -> bool:
         with self._guard:
-            known.users = {user for user in known.users if not user.closed}
+            # One that is being closed needs it still: a component that is not ACTIVE drops the
+            # stop message without a word.
+            known.users = {user for user in known.users if user.is_closing or not user.closed}
             return bool(known.users)

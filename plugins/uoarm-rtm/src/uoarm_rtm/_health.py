@@ -105,7 +105,7 @@ def blamed(statuses: Sequence[PortStatus | None]) -> int | None:
 class RemotePort:
     """One data port of a component, described and checked.
 
-    `ended` is called when a channel to the port has let go of it.
+    `ended` is called with a channel to the port that has let go of it.
     """
 
     orb: Orb
@@ -117,7 +117,7 @@ class RemotePort:
     options: RtmEndpointOptions = field(hash=False)
     seconds: float
     report: Callable[..., None]
-    ended: Callable[[], None]
+    ended: Callable[[Channel], None]
 
     @property
     def where(self) -> str:
