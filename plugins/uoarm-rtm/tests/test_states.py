@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,7 @@ def test_one_that_hangs_as_it_is_deactivated_keeps_no_other_from_being_activated
     channel = opened(bridge, of("Hung", Role.INPUT, "in", activate=True))
     hung.freeze()
     closing = Background(lambda: channel.close(timeout=patience()))
-    deactivating = Background(vars(bridge)["_active"].tick)
+    deactivating = Background(partial(vars(bridge)["_active"].leave, channel))
     wait(lambda: calls._count == 2)  # to end the connection, and for the state
     opened(bridge, of("Healthy", Role.INPUT, "in", activate=True))
     assert healthy.state() == "ACTIVE_STATE"
