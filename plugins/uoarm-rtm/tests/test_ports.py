@@ -246,21 +246,6 @@ def test_a_command_that_is_not_renewed_is_followed_by_the_stop(bridge: Bridge, p
 
 @pytest.mark.parametrize("subscription", ["flush", "new"])
 def test_what_moves_is_stopped_before_it_is_released(
-    bridge: Bridge, peer: Start, subscription: str
-) -> None:
-    component = peer("Listener")
-    policy = CommandPolicy(3600, StopMessage(stamped(0)))
-    options = {"activate": True, "subscription": subscription}
-    at = evolve(endpoint(Role.INPUT, "Listener.rtc", "in", **options), command=policy)
-    into = sink(bridge, at)
-    into.send(stamped(5))
-    wait(lambda: component.received() == [stamped(5)])
-    into.close()
-    assert component.received() == [stamped(5), stamped(0)]
-
-
-@pytest.mark.parametrize("subscription", ["flush", "new"])
-def test_a_component_is_active_until_the_stop_has_arrived(
     bridge: Bridge, peer: Start, subscription: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     component, made = peer("Listener"), cast(RtmBridge, bridge)
