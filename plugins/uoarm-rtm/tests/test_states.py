@@ -107,6 +107,22 @@ def test_one_that_hangs_as_it_is_deactivated_keeps_no_other_from_being_activated
     assert hung.calls() == ["activated", "deactivated"]
 
 
+def test_a_channel_that_ends_waits_for_no_component_that_another_one_needs(
+    make_bridge: Callable[..., Bridge], peer: Start
+) -> None:
+    bridge = make_bridge(watch=0)
+    peer("Shared")
+    at = of("Shared", Role.INPUT, "in", activate=True)
+    first, other = opened(bridge, at), opened(bridge, at)
+    active = vars(bridge)["_active"]
+    (known,) = active._known.values()
+    with known.changing:  # as while another one opens, and the component hangs
+        Background(first.close).result()
+        Background(active.tick).result()
+    other.close()
+    assert not active.checks()
+
+
 @pytest.mark.parametrize("options", ["{}", "{activate: true}"])
 def test_the_next_candidate_takes_over_from_one_that_fails(
     nameserver: str, peer: Start, tmp_path: Path, options: str

@@ -466,14 +466,13 @@ class Activations:
             for known in found:
                 known.users.discard(channel)
         for known in found:
-            known.check()
+            if not self._is_used(known):  # else it is not waited for, as it may hang
+                known.check()
 
     def tick(self) -> None:
         """Deactivate what we activated and no channel needs."""
-        with self._guard:
-            found = list(self._known.values())
-        for known in found:
-            known.check()
+        for check in self.checks():
+            check()
 
     def end(self, known: _Activation) -> None:
         """Deactivate one that no channel needs, and leave it out; the caller holds its lock."""
