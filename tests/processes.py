@@ -11,6 +11,8 @@ from pathlib import Path
 
 from uoarm.testing import patience
 
+_LAST_OCTETS = 4000
+
 
 def run_program(
     *command: str | Path,
@@ -18,16 +20,25 @@ def run_program(
     env: Mapping[str, str] | None = None,
     check: bool = False,
 ) -> subprocess.CompletedProcess[str]:
-    """Run a program to its end, with `env` beside the variables that are set."""
-    return subprocess.run(
-        command,
-        cwd=cwd,
-        env={**os.environ, **(env or {})},
-        capture_output=True,
-        text=True,
-        timeout=4 * patience(),
-        check=check,
-    )
+    """Run a program to its end, with `env` beside the variables that are set.
+
+    Raises:
+        AssertionError: it has not ended in time; says what it wrote last.
+    """
+    try:
+        return subprocess.run(
+            command,
+            cwd=cwd,
+            env={**os.environ, **(env or {})},
+            capture_output=True,
+            text=True,
+            timeout=4 * patience(),
+            check=check,
+        )
+    except subprocess.TimeoutExpired as error:
+        written = b"".join(octets for octets in (error.output, error.stderr) if octets)
+        last = written[-_LAST_OCTETS:].decode(errors="replace")
+        raise AssertionError(f"{command} has not ended; it wrote last:\n{last}") from None
 
 
 def run_python(

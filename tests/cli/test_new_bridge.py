@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import runpy
+import socket
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 from tests.processes import run_python
 
+import uoarm.cli
 from uoarm.cli import main
+from uoarm.testing import patience
+
+TEMPLATE = Path(uoarm.cli.__file__).parent / "template"
 
 
 def make(name: str, into: Path) -> tuple[int, str]:
@@ -68,6 +74,17 @@ def test_the_generated_bridge_passes_the_kit(tests: str, tmp_path: Path) -> None
         assert "::TestMyBusBridge::" in done.stdout
         assert done.stdout.count("::TestInAHost::") == len(HOSTED)
     assert "skipped" not in done.stdout, "every section of the kit has something to do"
+
+
+def test_the_bus_of_the_tests_ends_with_a_client_that_broke_off_within_a_line() -> None:
+    """Such a client has ended for its bus; `close` waited for it without an end."""
+    bus = runpy.run_path(str(TEMPLATE / "tests" / "bus.py"))["ExampleBus"]({}, {})
+    with socket.create_connection(("127.0.0.1", bus.port), patience()) as client:
+        assert client.recv(1) == b"\n"
+        client.sendall(b'{"do": "publish", "topic": "te')
+        client.shutdown(socket.SHUT_WR)
+        assert client.recv(1) == b"", "the bus closes what has ended"
+    bus.close()
 
 
 def test_the_name_stands_where_the_template_says_example_and_nowhere_else(tmp_path: Path) -> None:

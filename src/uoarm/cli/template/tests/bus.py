@@ -14,6 +14,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+from uoarm.testing import patience
+
 __all__ = ["ExampleBus", "ExamplePeer"]
 
 Fields = dict[str, Any]
@@ -197,11 +199,14 @@ class _BusClient:
             thread.join()
 
     def _read(self) -> None:
-        with suppress(OSError), self._line.makefile("rb") as lines:
-            for line in lines:
-                self._handle(self, json.loads(line))
-        self._written.put(b"")
-        self._end(self)
+        try:
+            with suppress(OSError), self._line.makefile("rb") as lines:
+                for line in lines:
+                    if line.endswith(b"\n"):  # else the connection broke within it
+                        self._handle(self, json.loads(line))
+        finally:
+            self._written.put(b"")
+            self._end(self)
 
     def _write(self) -> None:
         with suppress(OSError):
@@ -227,7 +232,7 @@ class ExamplePeer:
 
     def ask(self, do: str, **fields: Any) -> Any:
         self.post(do, **fields)
-        return self._came.get().get("result")
+        return self._came.get(timeout=patience()).get("result")
 
     def post(self, do: str, **fields: Any) -> None:
         asked = {"do": do, "number": next(self._numbers), **fields}
@@ -249,6 +254,8 @@ class ExamplePeer:
     def _read(self) -> None:
         with suppress(OSError):
             for line in self._lines:
+                if not line.endswith(b"\n"):  # the connection broke within it
+                    return
                 came = json.loads(line)
                 if came.get("event") != "call":
                     self._came.put(came)

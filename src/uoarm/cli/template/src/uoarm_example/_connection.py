@@ -181,7 +181,7 @@ class ExampleConnection:
                     failed = 0
                     self._up()
                     self._exchange(line)
-            except (OSError, ValueError) as error:
+            except (OSError, ValueError, RecursionError) as error:
                 failed += 1
                 self._down(text_of(error))
             self._rest(_BACKOFF.pause(failed))
@@ -206,7 +206,7 @@ class ExampleConnection:
             while not self._closing.is_set():
                 with self._lock:
                     if not unsent and self._lines:
-                        unsent = self._lines.popleft()[0]
+                        unsent = self._lines[0][0]
                 wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if unsent else 0)
                 selector.modify(line, wanted)
                 for key, ready in selector.select(_TICK_SECONDS):
@@ -214,10 +214,18 @@ class ExampleConnection:
                         self._woken.recv(4096)
                         continue
                     if ready & selectors.EVENT_WRITE:
-                        unsent = unsent[line.send(unsent) :]
+                        unsent = self._send(line, unsent)
                     if ready & selectors.EVENT_READ:
                         self._read(line, unread)
                 self._each(lambda member: member.tick())
+
+    def _send(self, line: socket.socket, unsent: bytes) -> bytes:
+        """Send what the bus takes now and return the rest; a message is kept until all is sent."""
+        rest = unsent[line.send(unsent) :]
+        if not rest:
+            with self._lock:
+                self._lines.popleft()
+        return rest
 
     def _read(self, line: socket.socket, unread: bytearray) -> None:
         octets = line.recv(2**18)
@@ -226,7 +234,10 @@ class ExampleConnection:
         begin = len(unread)
         unread += octets
         while (end := unread.find(b"\n", begin)) >= 0:
-            self._take(json.loads(unread[:end]))
+            came = json.loads(unread[:end])
+            if not isinstance(came, dict):
+                raise ConnectionError(f"the bus sent {type(came).__name__}, which is no object")
+            self._take(came)
             del unread[: end + 1]
             begin = 0
         if len(unread) > _MOST_OCTETS:
