@@ -35,6 +35,7 @@ LAYERS = [
         "_raised",
         "_secrets",
         "_spans",
+        "_spelling",
         "_support",
     },
     {"error_codes"},
@@ -112,10 +113,10 @@ WITHIN = {
 }
 ALONE = {
     "schema": {"schema", "_encodable"},
-    "_wire": {"_wire", "model", "schema", "errors"},
+    "_wire": {"_wire", "model", "schema", "errors", "_spelling"},
     "cdr": {"cdr", "model", "errors", "_deferred", "_encodable"},
     "local": {"local", "bridge", "_hints", "model", "errors"}
-    | {"_arguments", "_mistakes", "_raised", "_support"},
+    | {"_arguments", "_mistakes", "_raised", "_spelling", "_support"},
 }
 
 # Within a package: what each folder, and some modules, may import of it.

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from uoarm._mistakes import certainly_matches, nearest
+from uoarm._mistakes import certainly_matches
+from uoarm._spelling import nearest
 from uoarm._support.yaml import read_file
-from uoarm.bridge import Registry
+from uoarm.bridge import Registry, did_you_mean
 from uoarm.config import published_schema
 
 ROOT = Path(__file__).parents[1]
@@ -114,3 +115,11 @@ def test_the_nearest_of_many_words_is_found_among_few(monkeypatch: pytest.Monkey
     assert nearest("quite other", many) == ""
     assert nearest("scann", ["scan", "map"]) == "scan"
     assert compared == [64, 64, 2]
+
+
+def test_a_near_name_is_proposed_of_any_number_and_for_any_value() -> None:
+    names = [f"/robot{number}/camera" for number in range(20_000)]
+    assert did_you_mean("/robot77/camrea", names) == "; did you mean '/robot77/camera'?"
+    assert did_you_mean("x" * 2**20, ["x" * (2**20 - 1)]) == ""
+    assert did_you_mean("camera", ["camera"]) == "", "the name itself is no other one"
+    assert [did_you_mean(value, ["7", "None"]) for value in (7, None, [], b"7")] == [""] * 4

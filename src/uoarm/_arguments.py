@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections.abc
-import difflib
 import functools
 import inspect
 import sys
@@ -23,6 +22,7 @@ from typing import (
 )
 
 from uoarm._encodable import shown
+from uoarm._spelling import did_you_mean
 from uoarm.errors import UsageError
 
 P = ParamSpec("P")
@@ -120,9 +120,7 @@ class _Checker:
             if name in kinds and not _is(value, kinds[name]):
                 return self._wrong(name, value)
             if name not in self._known and not self._takes_more[1]:
-                close = difflib.get_close_matches(name, self._known, n=1)
-                hint = f"; did you mean {close[0]!r}?" if close else ""
-                return f"there is no argument {name!r}{hint}"
+                return f"there is no argument {name!r}{did_you_mean(name, self._known)}"
         return ""
 
     def _called_as(self, args: tuple[Any, ...]) -> str:

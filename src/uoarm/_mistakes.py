@@ -10,21 +10,15 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
-from heapq import nlargest
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
+from uoarm._spelling import Speller
 from uoarm._support.yaml import Path, clip
 from uoarm.errors import UoarmError
 
 if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
 
-_COMPARISONS = 300_000
-_COMPARED = 64
-_CALL = 20
-_LONGEST = 128
-_LISTED = 8
 E = TypeVar("E", bound=Enum)
 Mistake: TypeAlias = "tuple[Path, str, str, bool]"
 """Path, sentence, hint, and whether the key rather than the value is at fault."""
@@ -64,47 +58,6 @@ _SILENT = frozenset(
     {"$comment", "$defs", "$id", "$schema", "default", "description", "examples", "title"}
 )
 _DEPTH = 200
-
-
-def nearest(word: str, known: Collection[str]) -> str:
-    """Return the known word that was meant, "" where none is near.
-
-    Of many words those are compared letter by letter that share most pairs of letters.
-    """
-    import difflib  # noqa: PLC0415 - for mistakes only
-
-    if len(known) > _COMPARED:
-        pairs = set(pairwise(word))
-        known = nlargest(_COMPARED, known, lambda name: len(pairs.intersection(pairwise(name))))
-    return next(iter(difflib.get_close_matches(word, known, n=1)), "")
-
-
-class Speller:
-    """Finds the nearest known word; stops guessing when one file has cost enough comparisons.
-
-    Without the budget a file whose thousands of references are all wrong would take minutes.
-    """
-
-    def __init__(self) -> None:
-        self._left = _COMPARISONS
-
-    def guess(self, word: str, known: Collection[str]) -> str:
-        """Return `did you mean "x"?`, or nothing when no word is near."""
-        self._left -= len(known) + _CALL
-        if self._left < 0 or len(word) > _LONGEST:
-            return ""
-        close = nearest(word, known)
-        return f'did you mean "{close}"?' if close else ""
-
-    def guess_or_list(self, word: str, known: Collection[str], what: str) -> str:
-        """Return a guess, or where there is none the first few known words."""
-        return self.guess(word, known) or f"{what}: {_some(known)}"
-
-
-def _some(known: Collection[str]) -> str:
-    words = list(known)[:_LISTED]
-    more = f" and {len(known) - _LISTED:,} more" if len(known) > _LISTED else ""
-    return (", ".join(words) + more) or "none"
 
 
 def any_of(allowed: Collection[object]) -> str:

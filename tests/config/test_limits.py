@@ -12,7 +12,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm._mistakes import Speller
+from uoarm._spelling import Speller
 from uoarm.config import inspect, loads
 from uoarm.errors import ConfigurationError
 

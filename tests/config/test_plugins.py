@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager, _plugins
-from uoarm._mistakes import Speller, schema_mistakes
+from uoarm._mistakes import schema_mistakes
+from uoarm._spelling import Speller
 from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError

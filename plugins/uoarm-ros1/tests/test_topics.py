@@ -615,11 +615,11 @@ def test_a_name_that_is_nearly_right_is_proposed(master: Master, lasting: Peer) 
     lasting.do("set_param", name="/velocity", value=1)
     with bridge_to(master) as bridge:
         for at, words in (
-            (output("/utered", INT), "/utered; did you mean /uttered"),
-            (input_("/heded", INT), "/heded; did you mean /heeded"),
-            (service("/swivl"), "; did you mean /swivel"),
-            (output("/velocty", "parameter"), "not set; did you mean /velocity"),
-            (output("/uttered", INT, node="/lastin"), "/uttered; did you mean /lasting"),
+            (output("/utered", INT), "/utered; did you mean '/uttered'"),
+            (input_("/heded", INT), "/heded; did you mean '/heeded'"),
+            (service("/swivl"), "; did you mean '/swivel'"),
+            (output("/velocty", "parameter"), "not set; did you mean '/velocity'"),
+            (output("/uttered", INT, node="/lastin"), "/uttered; did you mean '/lasting'"),
         ):
             with pytest.raises(BridgeError, match=words):
                 bridge.describe(at)

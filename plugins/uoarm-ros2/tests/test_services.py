@@ -101,7 +101,7 @@ def test_what_cannot_be_called_says_why(bridge: Bridge, peer: Start) -> None:
     with pytest.raises(BridgeError, match="no server of /nowhere") as caught:
         bridge.describe(service("/nowhere", BASIC))
     assert caught.value.reason is FailureReason.NOT_FOUND
-    near = rf"no server of /heer on the graph of domain {DOMAIN}; did you mean /here\?"
+    near = rf"no server of /heer on the graph of domain {DOMAIN}; did you mean '/here'\?"
     with pytest.raises(BridgeError, match=near):
         bridge.describe(service("/heer", BASIC))
     with pytest.raises(BridgeError, match=f"has type {BASIC}, not {SET_BOOL}"):

@@ -614,7 +614,9 @@ def test_what_is_not_there_says_so(bridge: Bridge, peer: Start) -> None:
     with pytest.raises(BridgeError, match="/nowhere is not on the graph") as caught:
         bridge.describe(endpoint(Role.OUTPUT, "/nowhere", INT64))
     assert caught.value.reason is FailureReason.NOT_FOUND
-    near = rf"/ther is not on the graph of domain {DOMAIN}; did you mean /there\?; `uoarm discover`"
+    near = (
+        rf"/ther is not on the graph of domain {DOMAIN}; did you mean '/there'\?; `uoarm discover`"
+    )
     with pytest.raises(BridgeError, match=near):
         bridge.describe(endpoint(Role.OUTPUT, "/ther", INT64))
     with pytest.raises(BridgeError, match="/there has no subscription; to publish without"):

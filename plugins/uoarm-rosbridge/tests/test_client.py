@@ -219,7 +219,7 @@ def test_a_name_that_is_nearly_right_is_proposed(played: Played, listed: object)
         {} if listed is None else {"topics": {"topics": listed}, "services": {"services": listed}}
     )
     played.answers = {**played.answers, **names, **lists}
-    meant = r"; did you mean /chatter\?" if listed else ""
+    meant = r"; did you mean '/chatter'\?" if listed else ""
     with bridge_to(played.url) as bridge:
         for role, address, text in (
             (Role.OUTPUT, ("/chater",), "its type is in no address"),

@@ -13,10 +13,10 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from attrs import frozen
 
 from uoarm._adapt import check_edge
-from uoarm._mistakes import nearest
 from uoarm._resolve._catalogue import EdgeCheck, StructureCatalogue
 from uoarm._resolve._proofs import EdgeChecks
 from uoarm._resolve._search import Search
+from uoarm._spelling import did_you_mean
 from uoarm.config import fed_by
 from uoarm.errors import ResolutionError
 from uoarm.model import (
@@ -124,8 +124,7 @@ class Resolver:
         if plan is not None and not excluded:
             return plan
         if name not in self._functions:
-            close = nearest(name, self._functions)
-            hint = f"; did you mean {close!r}?" if close else ""
+            hint = did_you_mean(name, self._functions)
             text = f"there is no function {name!r} in the configuration{hint}"
             raise ResolutionError(text, error_code="UOA-202")
         # What is invalidated meanwhile may be in the plan: it is sought anew, and not kept when

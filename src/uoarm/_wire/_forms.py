@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 from abc import ABC, abstractmethod
@@ -12,6 +11,7 @@ from importlib.resources import files
 from itertools import islice
 from typing import TYPE_CHECKING, Any, final
 
+from uoarm._spelling import did_you_mean
 from uoarm._wire._binary import (
     decoding_octets,
     join_list,
@@ -319,10 +319,8 @@ def _wrong_op(fields: Mapping[str, Any]) -> str:
     op = fields["op"]
     if isinstance(op, str) and op in _OF_ROSBRIDGE:
         return f"op: {op!r} is of rosbridge, whose clients connect at /rosbridge; here {expected}"
-    close = difflib.get_close_matches(op[:_SHOWN], ASKED, n=1) if isinstance(op, str) else []
-    hint = f"; did you mean {close[0]!r}?" if close else ""
     shown = repr(op[:60]) if isinstance(op, str) else type(op).__name__
-    return f"op: {expected}, got {shown}{hint}"
+    return f"op: {expected}, got {shown}{did_you_mean(op, ASKED)}"
 
 
 @cache

@@ -6,6 +6,7 @@ from uoarm._forks import at_exit
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import LimitedLog, foreign, text_of
+from uoarm._spelling import did_you_mean
 from uoarm._support.workers import WorkerExecutor
 from uoarm.bridge._border import Delivery, reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
@@ -90,6 +91,7 @@ __all__ = [
     "asking_managers",
     "at_exit",
     "boot_seconds",
+    "did_you_mean",
     "foreign",
     "hookimpl",
     "install_command",

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from attrs import define, field
 
 from uoarm._encodable import encodable, is_encodable, shown
-from uoarm._mistakes import Speller, mistakes
+from uoarm._mistakes import mistakes
+from uoarm._spelling import Speller
 from uoarm._support.yaml import Path, clip
 from uoarm.bridge._compiled_check import Accepts, compile_check, judging
 from uoarm.errors import MessageError

@@ -24,8 +24,9 @@ from urllib.parse import urljoin
 import attrs
 from typing_extensions import Self
 
-from uoarm._mistakes import Mistake, Speller, schema_mistakes
+from uoarm._mistakes import Mistake, schema_mistakes
 from uoarm._raised import text_of
+from uoarm._spelling import Speller
 from uoarm._support.yaml import write_path
 from uoarm.bridge._border import reading_endpoint
 from uoarm.errors import ConfigurationError

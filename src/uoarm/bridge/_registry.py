@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from attrs import field, frozen
 from typing_extensions import Self
 
-from uoarm._mistakes import Speller, certainly_matches, mistakes
+from uoarm._mistakes import certainly_matches, mistakes
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, cause_of, hookspec, installed, values_of
+from uoarm._spelling import Speller, did_you_mean
 from uoarm._support import deadlines
 from uoarm._support.files import expanded
 from uoarm._support.yaml import write_path
@@ -335,10 +336,7 @@ class Registry:
                 return f"plugin {plugin!r} is installed but cannot be used: {problem.cause}"
         if plugin in _KNOWN:
             return f"plugin {plugin!r} is not installed: {install_command(*_KNOWN[plugin])}"
-        import difflib  # noqa: PLC0415 - for mistakes only
-
-        close = difflib.get_close_matches(plugin, self._types, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+        hint = did_you_mean(plugin, self._types)
         return f"there is no plugin {plugin!r} (installed: {', '.join(self._types)}){hint}"
 
     def _admit(self, plugin: str, kind: BridgeType) -> None:

@@ -197,7 +197,8 @@ def _checked_level(given: str) -> str:
     """
     level = given.rpartition("=")[2].lower()
     if level not in _LEVELS:
-        from uoarm._mistakes import Speller, any_of  # noqa: PLC0415 - for mistakes only
+        from uoarm._mistakes import any_of  # noqa: PLC0415 - for mistakes only
+        from uoarm._spelling import Speller  # noqa: PLC0415 - for mistakes only
 
         hint = Speller().guess(level, _LEVELS)
         expected = f"expected {any_of(_LEVELS)}, or LOGGER=LEVEL such as uoarm.control=debug"

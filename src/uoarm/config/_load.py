@@ -13,7 +13,7 @@ from typing import TypeAlias
 from attrs import evolve, frozen
 
 from uoarm._arguments import arguments
-from uoarm._mistakes import Speller
+from uoarm._spelling import Speller
 from uoarm._support.files import end_of_lines
 from uoarm._support.yaml import Document, Position, Problem, read, read_file
 from uoarm.bridge import BridgeType

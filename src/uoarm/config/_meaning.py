@@ -8,7 +8,7 @@ from typing import Any
 
 from attrs import Factory, define
 
-from uoarm._mistakes import Speller
+from uoarm._spelling import Speller
 from uoarm._support.yaml import Document, Path, Problem, clip
 from uoarm.config._loops import avoidable_cycles, unavoidable_cycles
 from uoarm.config._parts import (

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from uoarm._mistakes import Speller, schema_mistakes
+from uoarm._mistakes import schema_mistakes
 from uoarm._raised import foreign, sentence_of, text_of
+from uoarm._spelling import Speller
 from uoarm._support import deadlines
 from uoarm._support.yaml import Document, Path, Problem, clip
 from uoarm.bridge import BridgeType

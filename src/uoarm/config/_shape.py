@@ -26,13 +26,13 @@ from uoarm._meaning import unit_mistake
 from uoarm._mistakes import (
     TYPES,
     Mistake,
-    Speller,
     any_of,
     certainly_matches,
     is_about_a_key,
     mistakes,
     near,
 )
+from uoarm._spelling import Speller
 from uoarm._support.yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.errors import ConfigurationError

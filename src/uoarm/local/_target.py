@@ -5,7 +5,6 @@ What was written for a component's parameters is held against its signature and 
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import (
     AsyncIterable,
@@ -27,8 +26,9 @@ from uoarm._arguments import arguments
 from uoarm._hints.arrays import HintError
 from uoarm._hints.convert import reader
 from uoarm._hints.schemas import read_hints, schema_of, signature
-from uoarm._mistakes import Speller, schema_mistakes
+from uoarm._mistakes import schema_mistakes
 from uoarm._raised import foreign, text_of
+from uoarm._spelling import Speller, did_you_mean
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.local._modules import Modules, written_name
@@ -59,10 +59,9 @@ def parameter_mistakes(
             if wrong:
                 found[name] = wrong
         elif not takes_all:
-            close = difflib.get_close_matches(name, named, n=1)
             known = f"there are {', '.join(sorted(named))}" if named else "it takes none"
-            hint = f"did you mean {close[0]!r}?" if close else known
-            found[name] = f"there is no such parameter: {hint}"
+            hint = did_you_mean(name, named) or f": {known}"
+            found[name] = f"there is no such parameter{hint}"
     for name in sorted(named - given.keys()):
         if accepted[name].default is inspect.Parameter.empty:
             whole = f"; each message comes whole, in {message!r}" if message else ""
@@ -456,8 +455,7 @@ def find(address: Sequence[str], modules: Modules) -> Target:
     value: Any = _import(module_name, modules)
     for part in attribute.split("."):
         if not hasattr(value, part):
-            close = difflib.get_close_matches(part, dir(value), n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
+            hint = did_you_mean(part, dir(value))
             text = f"module {module_name!r} has no {attribute!r}{hint}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         owner, value = value, getattr(value, part)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import re
@@ -12,6 +11,7 @@ from typing import Any
 
 from attrs import field, frozen
 
+from uoarm._spelling import did_you_mean
 from uoarm.errors import ControlMessageError
 from uoarm.model._message import Message, Options
 from uoarm.model._wire import Budget, BudgetUse, scan_json
@@ -87,7 +87,7 @@ def read_control(
     _check_values(parsed)
     for name in parsed:
         if name not in _FIELDS and not name.startswith(_EXTENSION):
-            raise ControlMessageError(f"unknown field {_show(name)}{_guess(name, _FIELDS)}")
+            raise ControlMessageError(f"unknown field {_show(name)}{did_you_mean(name, _FIELDS)}")
     return ControlMessage(
         op=_op(parsed),
         type=_type(parsed),
@@ -186,7 +186,7 @@ def _op(data: Mapping[str, Any]) -> Op:
     name = data["op"]
     if name not in known:
         raise ControlMessageError(
-            f"op: expected one of {', '.join(known)}, got {_show(name)}{_guess(name, known)}"
+            f"op: expected one of {', '.join(known)}, got {_show(name)}{did_you_mean(name, known)}"
         )
     return Op(name)
 
@@ -228,11 +228,6 @@ def _integer(text: str) -> int:
 
 def _refuse_constant(name: str) -> Any:
     raise ControlMessageError(f"{name} is not a number of JSON")
-
-
-def _guess(name: object, known: list[str] | tuple[str, ...]) -> str:
-    close = difflib.get_close_matches(name[:_SHOWN], known, n=1) if isinstance(name, str) else []
-    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def _show(value: object) -> str:

@@ -6,10 +6,10 @@ emitted it, and a component dies only when a test says so.
 
 from __future__ import annotations
 
-import difflib
 from typing import TypeVar
 
 from uoarm._arguments import arguments
+from uoarm._spelling import did_you_mean
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -236,8 +236,7 @@ class MemoryBridge(Bridge):
         name = endpoint.address[0] if len(endpoint.address) == 1 else ""
         component = self._components.get(name)
         if component is None:
-            close = difflib.get_close_matches(name, self._components, n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
+            hint = did_you_mean(name, self._components)
             text = f"there is no component at {list(endpoint.address)}{hint}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         return component

@@ -12,11 +12,11 @@ from typing import Any
 
 from attrs import define, field
 
-from uoarm.bridge import Channel, Description, Handler, ServedRequests, text_of
+from uoarm.bridge import Channel, Description, Handler, ServedRequests, did_you_mean, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm_ros1._definitions import RosRecord
-from uoarm_ros1._discovery import Graph, near
+from uoarm_ros1._discovery import Graph
 from uoarm_ros1._master import GraphState
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Ros1Address, Ros1Options
@@ -66,7 +66,7 @@ def require_server(graph: Graph, endpoint: Endpoint, name: str) -> None:
     servers = _servers(graph.state, name)
     if not servers:
         goals = (topic for topic in graph.state.subscribers if topic.endswith("/goal"))
-        meant = near(name, (topic.removesuffix("/goal") for topic in goals))
+        meant = did_you_mean(name, (topic.removesuffix("/goal") for topic in goals))
         text = f"{endpoint}: there is no server of action {name}{meant}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
     if not graph.living(servers):

@@ -22,6 +22,7 @@ from uoarm.bridge import (
     ServiceStructures,
     Sink,
     Source,
+    did_you_mean,
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
@@ -37,7 +38,7 @@ from uoarm_ros1._channels import (
     parameter_structure,
 )
 from uoarm_ros1._definitions import DefinitionError, RosRecord, RosService, record_of
-from uoarm_ros1._discovery import Graph, discovered, near
+from uoarm_ros1._discovery import Graph, discovered
 from uoarm_ros1._health import LostComponents, MasterHealth
 from uoarm_ros1._node import Clock, Node, Rosout
 from uoarm_ros1._options import (
@@ -257,7 +258,7 @@ class Ros1Bridge(Bridge):
         text = f"{endpoint}: {who} {topic}"
         text += graph.seen_as(topic, address.type, () if port.node else known)
         if port.node:
-            text += near(self._node.resolve(port.node), known.get(topic, ()))
+            text += did_you_mean(self._node.resolve(port.node), known.get(topic, ()))
         raise BridgeError(text, FailureReason.NOT_FOUND)
 
     def _require_peer(
@@ -276,7 +277,7 @@ class Ros1Bridge(Bridge):
             text = f"{endpoint}: {who} to {topic}"
             text += graph.seen_as(topic, address_of(endpoint).type, () if port.node else known)
             if port.node:
-                text += near(self._node.resolve(port.node), known.get(topic, ()))
+                text += did_you_mean(self._node.resolve(port.node), known.get(topic, ()))
             raise BridgeError(text, FailureReason.NOT_FOUND)
         if not graph.living(subscribers):
             text = (

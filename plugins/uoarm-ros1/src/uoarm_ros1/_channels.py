@@ -18,11 +18,12 @@ from uoarm.bridge import (
     ReceiveQueue,
     Sink,
     Source,
+    did_you_mean,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
 from uoarm_ros1._definitions import RosRecord
-from uoarm_ros1._discovery import Graph, near
+from uoarm_ros1._discovery import Graph
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Ros1Address, Ros1Options
 from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, TopicSubscription
@@ -437,7 +438,7 @@ def parameter_structure(
         if error.reason is not FailureReason.REFUSED:
             raise
         names = node.master.call("getParamNames")
-        meant = near(name, map(str, names)) if isinstance(names, list) else ""
+        meant = did_you_mean(name, map(str, names)) if isinstance(names, list) else ""
         text = f"{endpoint}: the parameter {name} is not set{meant}"
         raise BridgeError(text, FailureReason.NOT_FOUND) from error
     return MessageStructure(_schema(value, _DEEP), native_type="parameter")

@@ -6,10 +6,9 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
-from difflib import get_close_matches
 from functools import cached_property
 
-from uoarm.bridge import Description, Discovered, WorkerExecutor
+from uoarm.bridge import Description, Discovered, WorkerExecutor, did_you_mean
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Role
 from uoarm_ros1._master import GraphState
@@ -24,12 +23,6 @@ _EVERYWHERE = frozenset({"/rosout", "/rosout_agg", "/clock"})
 _OF_EVERY_NODE = ("/get_loggers", "/set_logger_level", "/tf2_frames")
 _STATUS, _GOAL = "/status", "/goal"
 _PARTS = ("/goal", "/cancel", "/status", "/feedback", "/result")
-
-
-def near(name: str, known: Iterable[str]) -> str:
-    """Ask in an error whether a name like the one that is not there is meant."""
-    found = get_close_matches(name, [text for text in known if text != name], n=1)
-    return f"; did you mean {found[0]}?" if found else ""
 
 
 class Graph:
@@ -74,7 +67,7 @@ class Graph:
         kind = self.types.get(topic, "")
         if kind and wanted not in {"", kind}:
             return f"; it is known as {kind}, not {wanted}"
-        return near(topic, known)
+        return did_you_mean(topic, known)
 
     def address(self, name: str) -> str:
         """Return the address that the master has for a node, nothing where it has none."""

@@ -9,11 +9,11 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 
-from uoarm.bridge import Channel, Handler, text_of
+from uoarm.bridge import Channel, Handler, did_you_mean, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_ros1._definitions import RosService
-from uoarm_ros1._discovery import Graph, near
+from uoarm_ros1._discovery import Graph
 from uoarm_ros1._master import connect, failure_text
 from uoarm_ros1._node import Node
 from uoarm_ros1._publication import keep_alive
@@ -52,7 +52,7 @@ def probe_service(node: Node, service: str) -> tuple[str, str]:
             raise
         kind = node.master.types().by_topic.get(service)
         other = f"; there is a topic of that name, of type {kind}" if kind else ""
-        other = other or near(service, node.master.state().services)
+        other = other or did_you_mean(service, node.master.state().services)
         text = f"no node serves {service}: {error}{other}"
         raise BridgeError(text, FailureReason.NOT_FOUND) from error
     header = service_header(node.name, service, probe=True)

@@ -10,11 +10,11 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
-from difflib import get_close_matches
 from typing import Any
 
 from attrs import define, field, frozen
 
+from uoarm.bridge import did_you_mean
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
 from uoarm_ros2._discovery import Ros2Graph, Topic
@@ -200,15 +200,13 @@ class EntryHealth:
         if self.is_awaited(now):
             # Neither work nor a report each time that it is asked for, whatever arrays come.
             if now - self._missing_at > self._timeout:
-                said = f"; the last: {self._last}" if self._last is not None else self._near()
-                self._missing = f"no entry {self._name!r} for {self._timeout:g} s{said}"
+                last = did_you_mean(self._name, self._names)
+                if self._last is not None:
+                    last = f"; the last: {self._last}"
+                self._missing = f"no entry {self._name!r} for {self._timeout:g} s{last}"
                 self._missing_at = now
             return Health.DEGRADED, self._missing
         return None if self._last is None else (self._last.health, self._text)
-
-    def _near(self) -> str:
-        near = get_close_matches(self._name, self._names, n=1)
-        return f"; did you mean {near[0]!r}?" if near else ""
 
 
 _TYPE = "diagnostic_msgs/msg/DiagnosticArray"

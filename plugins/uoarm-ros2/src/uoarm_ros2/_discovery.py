@@ -8,12 +8,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Iterable
-from difflib import get_close_matches
 from typing import Any
 
 from attrs import define, field, frozen
 
-from uoarm.bridge import Description, Discovered
+from uoarm.bridge import Description, Discovered, did_you_mean
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm_ros2._middleware import NodeRunner, Peer, rclpy_errors
@@ -333,10 +332,7 @@ class Ros2Graph:
             name: the full name that is asked for.
             known: names of the same kind that are there.
         """
-        near = get_close_matches(name, [text for text in known if text != name], n=1)
-        meant = self._other_kind(name, known)
-        if near and not meant:
-            meant = f"; did you mean {near[0]}?"
+        meant = self._other_kind(name, known) or did_you_mean(name, known)
         domain = self._runner.domain_id
         return f"{what} on the graph of domain {domain}{meant}; `uoarm discover` lists what is"
 

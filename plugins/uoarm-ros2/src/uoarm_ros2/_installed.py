@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from functools import lru_cache
 from importlib.metadata import distributions
 from importlib.util import find_spec
@@ -14,6 +13,7 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm.bridge import did_you_mean
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm.plugins import expanded
@@ -218,10 +218,10 @@ def _is_here(name: str, reading: DefinitionReader) -> bool:
 def _doubt(name: str, known: list[str], reading: DefinitionReader) -> str:
     if name in reading.unread:
         return f"{of_type(name)}{reading.unread[name]}"
-    near = get_close_matches(name, known, n=1)
-    rest = f"; did you mean {near[0]!r}?" if near else ": build its package"
-    if not near and kind_of(name) == MESSAGE:
+    rest = did_you_mean(name, known)
+    if not rest and kind_of(name) == MESSAGE:
         rest = ": a node on the topic must describe it"
+    rest = rest or ": build its package"
     return f"no package that is installed here has the type {name!r}{rest}"
 
 

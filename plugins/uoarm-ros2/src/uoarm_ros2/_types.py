@@ -11,12 +11,12 @@ import importlib
 import json
 import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from functools import lru_cache
 from typing import Any, TypeAlias
 
 from attrs import field, frozen
 
+from uoarm.bridge import did_you_mean
 from uoarm.cdr import BASIC
 from uoarm.errors import BridgeError, FailureReason
 
@@ -69,8 +69,7 @@ def import_type(name: str) -> type:
     found = getattr(module, type_name, None)
     if not isinstance(found, type):
         known = sorted(variable for variable in vars(module) if variable[:1].isupper())
-        near = get_close_matches(type_name, known, n=1)
-        meant = f"; did you mean {near[0]!r}?" if near else f", only {known}"
+        meant = did_you_mean(type_name, known) or f", only {known}"
         text = f"{of_type(name)}package {package!r} has no {kind} {type_name!r}{meant}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
     return found

@@ -8,7 +8,6 @@ lists what is visible now with endpoints and structures.
 from __future__ import annotations
 
 import contextlib
-import difflib
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -17,7 +16,7 @@ from typing import Any, TypeVar
 from attrs import define, field, frozen
 from omniORB import CORBA
 
-from uoarm.bridge import Description, Discovered, WorkerExecutor
+from uoarm.bridge import Description, Discovered, WorkerExecutor, did_you_mean
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Role
 from uoarm_rtm._control import DESCRIPTIONS, limits
@@ -203,10 +202,8 @@ class Directory:
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         if unreadable is not None:
             raise unreadable
-        text = f"there is no component {path!r} in {where}"
-        close = difflib.get_close_matches(path, [entry.path for entry in every], n=1)
-        if close:
-            text = f"{text}; did you mean {close[0]!r}?"
+        meant = did_you_mean(path, [entry.path for entry in every])
+        text = f"there is no component {path!r} in {where}{meant}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
 
 

@@ -7,7 +7,6 @@ same would hand garbage to a component.
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,7 +15,7 @@ from typing import Any
 
 from _uoarm_rtm_stubs import RTC, OpenRTM, SDOPackage
 
-from uoarm.bridge import ServiceStructures
+from uoarm.bridge import ServiceStructures, did_you_mean
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm.schema import check
@@ -293,9 +292,8 @@ class Types:
             ends = [known for known in self._known if known.endswith(f"/{name}")]
             if len(ends) == 1:
                 return self._known[ends[0]]
-        close = difflib.get_close_matches(name, self._known, n=1)
-        hint = f"did you mean {close[0]!r}? Otherwise give" if close else "give"
-        text = f"data type {type_id!r} is not known: {hint} its IDL in the bridge's option `idl`"
+        hint = f"give its IDL in the bridge's option `idl`{did_you_mean(name, self._known)}"
+        text = f"data type {type_id!r} is not known: {hint}"
         raise BridgeError(text, FailureReason.UNSUPPORTED)
 
     def interface(self, name: str) -> tuple[IdlInterface, str]:

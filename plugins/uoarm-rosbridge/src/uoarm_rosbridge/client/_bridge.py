@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import suppress
-from difflib import get_close_matches
 from typing import Any, TypeVar
 
 from uoarm.bridge import (
@@ -19,6 +18,7 @@ from uoarm.bridge import (
     ServiceStructures,
     Sink,
     Source,
+    did_you_mean,
     renewed,
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
@@ -169,9 +169,7 @@ class RosbridgeBridge(Bridge):
         name, names = _full(address.name), None
         with suppress(BridgeError):  # it is about another one
             names = self._ask(kind).get(kind)
-        known = [str(text) for text in names if text != name] if isinstance(names, list) else []
-        near = get_close_matches(name, known, n=1)
-        return f"; did you mean {near[0]}?" if near else ""
+        return did_you_mean(name, map(str, names) if isinstance(names, list) else ())
 
     def _service_types(self, kind: str) -> tuple[RosType, RosType]:
         return (
