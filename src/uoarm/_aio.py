@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import threading
 import time
 from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
@@ -103,27 +102,6 @@ def _at_once(
         return method(self._threaded, *args, **kwargs)
 
     return proxy
-
-
-async def _beside(action: Callable[[], Result]) -> Result:
-    """Run what must wait for no other call, nor for what the application does in threads.
-
-    Where the system gives no thread it runs in the loop: late is better than not at all.
-    """
-    future: Future[Result] = Future()
-
-    def run() -> None:
-        future.set_running_or_notify_cancel()
-        try:
-            future.set_result(action())
-        except BaseException as error:  # noqa: BLE001 - given to who awaits it
-            future.set_exception(error)
-
-    try:
-        threading.Thread(target=run, name="uoarm-async-stop", daemon=True).start()
-    except RuntimeError:
-        run()
-    return await asyncio.wrap_future(future)
 
 
 @final
@@ -307,6 +285,8 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
         self.robot = robot
         # What ends a connection never waits for a bridge that hangs as another one is opened.
         self._handling = WorkerExecutor("uoarm-async-handle", _AT_ONCE)
+        # Without a limit: a stop waits for no other call, nor for a thread of the application.
+        self._stopping = WorkerExecutor("uoarm-async-stop")
 
     @classmethod
     @arguments(path="AsyncRobotManager(manager) takes a RobotManager")
@@ -440,11 +420,18 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
 
     async def stop_all(self, *, timeout: float = 2.0) -> StopReport:
         """Stop every input that moves something, as `RobotManager.stop_all` does."""
-        return await _beside(partial(self.robot.stop_all, timeout=timeout))
+        return await self._stop(partial(self.robot.stop_all, timeout=timeout))
 
     async def release(self, *, timeout: float = 2.0) -> None:
         """Let commands through again; raises as `RobotManager.release`."""
-        await _beside(partial(self.robot.release, timeout=timeout))
+        await self._stop(partial(self.robot.release, timeout=timeout))
+
+    async def _stop(self, action: Callable[[], Result]) -> Result:
+        try:
+            under_way = self._stopping.submit(action)
+        except RuntimeError:  # the system gives no thread: late is better than not at all
+            return action()
+        return await asyncio.wrap_future(under_way)
 
     @property
     def is_stopped(self) -> bool:
