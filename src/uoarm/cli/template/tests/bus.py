@@ -180,7 +180,7 @@ class _BusClient:
         self.publishes: set[str] = set()
         self.owed: set[int] = set()
         self._line, self._handle, self._end = line, handle, end
-        self._written: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._written: queue.Queue[bytes] = queue.Queue()
         self._written.put(b"\n")  # the greeting
         self._threads = [
             threading.Thread(target=work, name="bus client", daemon=True)
@@ -225,7 +225,7 @@ class ExamplePeer:
         self._lines = self._line.makefile("rb")
         self._lines.readline()
         self._answers: dict[int, Callable[[Any], Any]] = {}
-        self._came: queue.SimpleQueue[Fields] = queue.SimpleQueue()
+        self._came: queue.Queue[Fields] = queue.Queue()
         self._numbers = itertools.count(1)
         self._thread = threading.Thread(target=self._read, name="peer", daemon=True)
         self._thread.start()
