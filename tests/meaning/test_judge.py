@@ -61,6 +61,7 @@ def test_lines_to_paste_reach_into_objects_and_arrays_and_keep_what_stands_besid
             name={"type": "string"},
             pose=closed(x=unit(length), yaw=unit(angle), at=closed(z=unit(length), k=NUMBER)),
             ranges={"type": "array", "items": unit(length)},
+            rows={"type": "array", "items": {"type": "array", "items": unit(length)}},
             points={"type": "array", "items": closed(x=unit(length), id=NUMBER)},
             plain=unit("s"),
         )
@@ -68,11 +69,11 @@ def test_lines_to_paste_reach_into_objects_and_arrays_and_keep_what_stands_besid
     convert = pasted(scan("deg", "mm"), scan("deg", "m"))
     message = {
         "name": "n", "pose": {"x": 1000, "yaw": 90, "at": {"z": 5000, "k": 7}},
-        "ranges": [500, 250], "points": [{"x": 2000, "id": 3}], "plain": 4,
+        "ranges": [500, 250], "rows": [[500], []], "points": [{"x": 2000, "id": 3}], "plain": 4,
     }  # fmt: skip
     assert convert(message) == {
         "name": "n", "pose": {"x": 1.0, "yaw": 90, "at": {"z": 5.0, "k": 7}},
-        "ranges": [0.5, 0.25], "points": [{"x": 2.0, "id": 3}], "plain": 4,
+        "ranges": [0.5, 0.25], "rows": [[0.5], []], "points": [{"x": 2.0, "id": 3}], "plain": 4,
     }  # fmt: skip
 
 

@@ -377,7 +377,7 @@ def _fill(
     if not inside:
         mapping[where] = where
         return
-    if inside.keys() <= {(), (_ITEMS,)}:
+    if all(set(path) <= {_ITEMS} for path in inside):
         mapping[where] = {"from": where, **_lines(next(iter(inside.values())))}
         return
     one = source.plain(source.at(field).schema, where)
