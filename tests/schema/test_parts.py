@@ -43,6 +43,7 @@ def accepts(schema: Any, value: object) -> bool:
             {"b": ""},
         ),
         ({"type": "array", "items": {"$ref": "#"}}, [[[]]], [[1]]),
+        ({"type": "array", "items": {"$dynamicRef": "#"}}, [[[]]], [[1]]),
         ({"not": {"$ref": "#/$defs/x~1y%20z"}, "$defs": {"x/y z": {"type": "null"}}}, 1, None),
         ({"if": {"$ref": "#/then"}, "then": {"type": "integer"}, "else": {"const": "#"}}, "#", ""),
         (
@@ -187,6 +188,8 @@ def test_a_document_within_another_has_its_own_references() -> None:
         ({"properties": {"a": {"$ref": "#/definitions/n"}}, "definitions": {"n": INTEGER}}, 1, ""),
         ({"properties": {"a": {"$ref": "#/properties/b"}, "b": INTEGER}}, 1, "1"),
         ({"properties": {"a": {"items": {"$ref": "#/properties/a"}}}}, [[]], None),
+        ({"properties": {"a": {"$dynamicRef": "#n"}}, "$dynamicAnchor": "n", "maxProperties": 1},
+         {}, {"a": {}, "b": 1}),
         ({"properties": {"a": {"$ref": "#/properties/a/$defs/n", "$defs": {"n": INTEGER}}}}, 1, ""),
         ({"properties": {"a": {"$ref": "#n", "$defs": {"n": {"$anchor": "n", **INTEGER}}}}}, 1, ""),
         ({"properties": {"a": {"$id": "http://h/a", "$ref": "#/not/not", "not": {"not": INTEGER}}}},

@@ -17,6 +17,7 @@ _OTHERS = frozenset({*SINGLES, *LISTS, "additionalItems"})
 _DEFINITIONS = ("$defs", "definitions")
 _DEFINED = tuple(f"#/{keyword}/" for keyword in _DEFINITIONS)
 _ANCHORS = ("$anchor", "$dynamicAnchor")
+_REFERENCES = ("$ref", "$dynamicRef")
 _OF_DOCUMENT = frozenset({"$schema", "$id"})
 _MOST_STEPS = 32
 
@@ -115,7 +116,8 @@ def portable(
     if not isinstance(schema, Mapping):
         return schema, {}
     inner = {keyword: value for keyword, value in schema.items() if keyword not in _OF_DOCUMENT}
-    places = [part["$ref"] for part in _own_parts(inner) if isinstance(part.get("$ref"), str)]
+    found = (part.get(keyword) for part in _own_parts(inner) for keyword in _REFERENCES)
+    places = (place for place in found if isinstance(place, str))
     if not whole and all(place.startswith(_DEFINED) for place in places):
         hoisted = {keyword: inner.pop(keyword) for keyword in _DEFINITIONS if keyword in inner}
         return inner, hoisted
@@ -186,11 +188,12 @@ def _moved(schema: Any, own: str, to: str) -> Any:
     if not isinstance(schema, Mapping) or "$id" in schema:
         return schema
     made = change_parts(schema, lambda part: _moved(part, own, to))
-    place = schema.get("$ref")
-    if isinstance(place, str):
-        if place == own or place.startswith(f"{own}#"):
-            place = place[len(own) :] or "#"
-        made["$ref"] = f"{to}{place[1:]}" if place == "#" or place.startswith("#/") else place
+    for keyword in _REFERENCES:
+        place = schema.get(keyword)
+        if isinstance(place, str):
+            if place == own or place.startswith(f"{own}#"):
+                place = place[len(own) :] or "#"
+            made[keyword] = f"{to}{place[1:]}" if place == "#" or place.startswith("#/") else place
     return made
 
 
