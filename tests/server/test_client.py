@@ -131,6 +131,18 @@ async def test_a_silence_says_what_was_refused_last(
 
 
 @FORMS
+async def test_a_message_that_is_too_much_is_lost_and_nothing_else(
+    server: Server, binary: bool
+) -> None:
+    async with joined(server, binary=binary) as client:
+        stream = await client.request("numbers", validate="off")
+        script.put({"value": 1}, {"value": [0] * 2_000_000}, {"value": 2}, END)
+        assert [message async for message in stream] == [{"value": 1}, {"value": 2}]
+        assert stream.lost == 1
+        assert await client.call("add", {"a": 1, "b": 2}, timeout=patience()) == {"value": 3}
+
+
+@FORMS
 async def test_messages_are_sent_in_order(server: Server, binary: bool) -> None:
     async with joined(server, binary=binary) as client:
         async with await client.request("echo") as echo:

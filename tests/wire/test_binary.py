@@ -32,6 +32,7 @@ from uoarm._wire import _binary
 from uoarm._wire._binary import (
     _CUT_TAG,
     _ENCODERS,
+    LARGEST,
     _encode_other,
     decoding_octets,
     read_binary,
@@ -277,6 +278,68 @@ def test_octets_in_few_items_are_quick_to_read_and_many_items_are_not() -> None:
     for slow in ([0] * 9000, ["text"] * 9000, {str(number): 0 for number in range(9000)}):
         data = write_binary(slow)
         assert decoding_octets(data) == len(data) > 8192
+
+
+def nested(levels: int, innermost: Any = None) -> Any:
+    value = innermost
+    for _ in range(levels):
+        value = [value]
+    return value
+
+
+class Odd(list[Any]):
+    """A list that is written as one, and that the quick writer does not look into."""
+
+
+@pytest.mark.parametrize("beside", ["", b"a" * 5_000], ids=["small", "large"])
+@pytest.mark.parametrize(
+    ("value", "why"),
+    [
+        (nested(510), "nest"),
+        (nested(600), "nest"),
+        (Odd(nested(600)), "nest"),
+        (nested(300, b"ab"), "nest"),
+        (2**3073, "3,072 bits"),
+        ([np.ones(2), -(2**3073)], "3,072 bits"),
+        (OrderedDict(wide=2**3073), "3,072 bits"),
+        (list(range(2_000_000)), "values"),
+        ([{"a": 1}] * 700_000, "values"),
+        (bytes(LARGEST.octets), "bytes"),
+    ],
+    ids=lambda item: item if isinstance(item, str) else type(item).__name__,
+)
+def test_what_is_too_much_for_a_client_is_not_written(
+    value: object, why: str, beside: object
+) -> None:
+    with pytest.raises(MessageError, match=why):
+        write_binary({"value": {"value": value}, "beside": beside})
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        nested(240, b"ab"),
+        Odd(nested(240)),
+        2**3072 - 1,
+        list(range(1_900_000)),
+        np.zeros((3_000_000, 2), "u1"),
+        np.ones(3_000_000, "f2"),
+        np.ones((1,) * 40),
+    ],
+    ids=lambda item: type(item).__name__,
+)
+@pytest.mark.parametrize("beside", ["", b"a" * 5_000], ids=["small", "large"])
+def test_what_a_client_takes_is_written(value: object, beside: object) -> None:
+    data = write_binary({"value": {"value": value}, "beside": beside})
+    read_binary(data, BudgetUse(LARGEST), with_numpy=True)
+
+
+def test_large_parts_are_deeper_than_a_client_takes() -> None:
+    value: dict[str, Any] = {"value": bytes(5_000)}
+    for _ in range(300):
+        value = {"value": value, "beside": nested(250)}
+    with pytest.raises(MessageError, match="nest"):
+        write_binary(value)
 
 
 def test_what_has_no_form_is_refused_by_name() -> None:

@@ -7,7 +7,12 @@ import json
 import math
 import tracemalloc
 from array import array
+from dataclasses import dataclass
+from datetime import date, datetime, time, timezone
+from enum import Enum
+from functools import partial
 from typing import Any
+from uuid import UUID
 
 import numpy as np
 import pytest
@@ -16,6 +21,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from tests.structures import closed
 
+from uoarm._wire import LARGEST, TEXT_FORM, read_binary, write_binary
 from uoarm._wire._text import read_text, write_text
 from uoarm._wire._text_schema import make_reader, text_schema, viewer_schema
 from uoarm.errors import ControlMessageError, MessageError
@@ -147,6 +153,60 @@ def test_what_is_written_is_read_back_exactly(message: dict[str, Any]) -> None:
 )
 def test_values_without_an_exact_json_number_are_strings(value: object, text: str) -> None:
     assert write_text(value) == text.encode()
+
+
+class Kind(Enum):
+    A = "a"
+
+
+@dataclass
+class Point:
+    x: int
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (datetime(2026, 1, 2, 3, tzinfo=timezone.utc), "2026-01-02T03:00:00+00:00"),
+        (datetime(2026, 1, 2, 3), "2026-01-02T03:00:00"),  # noqa: DTZ001 - without one
+        (date(2026, 1, 2), "2026-01-02"),
+        (time(3, 4), "03:04:00"),
+        (UUID(int=1), "00000000-0000-0000-0000-000000000001"),
+        (np.array(["2026-01-02"], "M8[ns]"), ["2026-01-02T00:00:00"]),
+        (Kind.A, "a"),
+        (Point(1), {"x": 1}),
+    ],
+)
+@pytest.mark.parametrize("beside", ["", b"a" * 5_000], ids=["small", "large"])
+def test_both_forms_have_the_same_of_what_messages_are_not_made_of(
+    value: object, text: object, beside: object
+) -> None:
+    message = {"value": {"value": value}, "beside": beside}
+    assert json.loads(write_text(message))["value"] == {"value": text}
+    assert read_binary(write_binary(message), BudgetUse(Budget()))["value"] == {"value": text}
+
+
+@pytest.mark.parametrize(
+    ("value", "why"),
+    [
+        (list(range(2_000_000)), "values"),
+        ([{"a": 1}] * 700_000, "values"),
+        (np.zeros((2_000_000, 2), np.uint8), "values"),
+        (bytes(LARGEST.octets // 4 * 3), "bytes"),
+    ],
+    ids=["numbers", "objects", "array", "octets"],
+)
+def test_what_is_too_much_for_a_client_is_not_written(value: object, why: str) -> None:
+    for write in (TEXT_FORM.write, partial(TEXT_FORM.write_data, "c1", 1)):
+        with pytest.raises(MessageError, match=why):
+            write({"value": value})
+    assert write_text({"value": value})  # into a file
+
+
+def test_what_a_client_takes_is_written() -> None:
+    for value in (list(range(1_900_000)), ",:[" * 1_000_000, bytes(9_000_000)):
+        text = TEXT_FORM.write_data("c1", 1, {"value": value}).decode()
+        assert TEXT_FORM.read(text, BudgetUse(LARGEST))
 
 
 def test_what_has_no_json_form_is_refused_by_name() -> None:

@@ -3,7 +3,7 @@
 Shared by the server and the client. Needs the packages of the extra `server`.
 """
 
-from uoarm._wire._binary import read_binary, write_binary
+from uoarm._wire._binary import LARGEST, read_binary, write_binary
 from uoarm._wire._forms import (
     ASKED,
     BINARY_FORM,
@@ -17,13 +17,14 @@ from uoarm._wire._forms import (
     salvage_id,
     write_or_error,
 )
-from uoarm._wire._text import dump_parts, is_octets, read_text
+from uoarm._wire._text import dump_parts, is_octets, read_text, write_text
 from uoarm._wire._text_schema import viewer_schema
 
 __all__ = [
     "ASKED",
     "BINARY_FORM",
     "FORMS",
+    "LARGEST",
     "TEXT_FORM",
     "Form",
     "check_asked",
@@ -38,4 +39,5 @@ __all__ = [
     "viewer_schema",
     "write_binary",
     "write_or_error",
+    "write_text",
 ]

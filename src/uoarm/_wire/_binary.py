@@ -9,8 +9,10 @@ from array import array
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from datetime import date, datetime
+from dataclasses import is_dataclass
+from datetime import date, datetime, time
 from decimal import Decimal
+from enum import Enum
 from fractions import Fraction
 from io import BytesIO
 from ipaddress import (
@@ -28,9 +30,13 @@ import cbor2
 import orjson
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import BudgetUse, Message
+from uoarm.model import Budget, BudgetUse, Message
 
 Octets: TypeAlias = "bytes | bytearray"
+LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=32)
+"""What clients take of a server. One message that is more ends the connection."""
+WRITTEN = Budget(octets=268_400_000, elements=1_999_000, depth=256, dimensions=32)
+"""What is written at most: less by what stands around a message, and no deeper than JSON is."""
 # Runs of items without anything behind their heads but an argument of one size, by group: no
 # argument, 1, 2, 4 and 8 octets. Long lists of numbers are counted at the speed of C.
 _RUNS = re.compile(
@@ -96,6 +102,7 @@ def _items(data: Octets, most: int) -> int:
 
 
 _LARGE = 4096
+_PARTED = 64  # levels in which large parts are looked for
 _PLAIN = (
     orjson.OPT_PASSTHROUGH_SUBCLASS
     | orjson.OPT_PASSTHROUGH_DATACLASS
@@ -103,7 +110,9 @@ _PLAIN = (
 )
 _MAX_BITS = 3072
 _MULTIPLE_DIMENSIONS = 40
+_HALF = 2  # octets of a float
 _UUID_HEAD = b"\xd8\x25\x50"
+_AS_TEXT = datetime, date, UUID, time, Enum
 # Tag to (typecode, big-endian): the numbers of RFC 8746, section 2.1, of sizes that `array` has.
 _TYPED = {
     64: ("B", False), 65: ("H", True), 66: ("I", True), 67: ("Q", True), 68: ("B", False),
@@ -113,7 +122,7 @@ _TYPED = {
 }  # fmt: skip
 _LITTLE_TAGS = {
     ("u", 1): 64, ("u", 2): 69, ("u", 4): 70, ("u", 8): 71, ("i", 1): 72, ("i", 2): 77,
-    ("i", 4): 78, ("i", 8): 79, ("f", 2): 84, ("f", 4): 85, ("f", 8): 86,
+    ("i", 4): 78, ("i", 8): 79, ("f", 4): 85, ("f", 8): 86,
 }  # fmt: skip
 _SIGNS = {"B": "u", "H": "u", "I": "u", "L": "u", "Q": "u", "f": "f", "d": "f"}
 _CONTAINERS = {list, dict}
@@ -126,16 +135,22 @@ def write_binary(message: Message) -> bytes:
     """Return a message as CBOR.
 
     Raises:
-        MessageError: a value in it has no form here; the text says which type.
+        MessageError: a value in it has no form here, and the text says which type; or it is more
+            than `WRITTEN`.
     """
     try:
-        if isinstance(message, dict) and _has_large(message):
+        if isinstance(message, dict) and _has_large(message, _PARTED):
             parts: list[Any] = []
-            _write_parts(message, parts)
-            return b"".join(parts)
-        return _dumps(message)
+            _write_parts(message, parts, _PARTED)
+            made = b"".join(parts)
+        else:
+            made = _dumps(message)
+        if len(made) > WRITTEN.elements:  # else each octet may be an item
+            scan_cbor(made, spending := BudgetUse(WRITTEN))
+            spending.octets(len(made))
     except (cbor2.CBOREncodeError, TypeError, ValueError, RecursionError) as error:
         raise MessageError(f"the message has no form as CBOR: {error}") from error
+    return made
 
 
 def read_binary(data: Octets, spending: BudgetUse, *, with_numpy: bool = False) -> Message:
@@ -235,25 +250,39 @@ def _dumps(value: Any) -> bytes:
     # With encoders of ours the library takes four times as long, for each value that is none of
     # theirs. Whether there is one of theirs a writer of JSON says in a fifth of its time; without
     # them the library would take a buffer for a list.
+    others: list[Any] = []
+    is_plain = False  # neither deeper nor wider than that writer takes, which no reader refuses
     with suppress(TypeError, cbor2.CBOREncodeError):
-        orjson.dumps(value, option=_PLAIN)
-        made = cbor2.dumps(value)
-        if _UUID_HEAD not in made:  # of what that writer takes, all else that no message has
-            return made
-    return cbor2.dumps(value, encoders=_ENCODERS, default=_encode_other)
+        orjson.dumps(value, default=others.append, option=_PLAIN)
+        is_plain = all(map(_is_flat, others))
+        if not others:
+            made = cbor2.dumps(value)
+            if _UUID_HEAD not in made:  # of what that writer takes, all else that no message has
+                return made
+    made = cbor2.dumps(value, encoders=_ENCODERS, default=_encode_other)
+    if not is_plain:
+        read_binary(made, BudgetUse(WRITTEN), with_numpy=True)
+    return made
 
 
-def _has_large(message: Mapping[str, Any]) -> bool:
+def _is_flat(value: Any) -> bool:
+    """Say whether there is nothing in a value that could be nested, or a wide integer."""
+    if isinstance(value, bytes | bytearray | memoryview | array | str | float | date):
+        return True
+    return hasattr(value, "__array_interface__") and value.dtype.kind != "O"
+
+
+def _has_large(message: Mapping[str, Any], levels: int) -> bool:
     for value in message.values():
         if isinstance(value, bytes | bytearray | memoryview | list):
             if len(value) >= _LARGE:
                 return True
-        elif isinstance(value, dict) and _has_large(value):
+        elif isinstance(value, dict) and levels and _has_large(value, levels - 1):
             return True
     return False
 
 
-def _write_parts(message: Mapping[str, Any], parts: list[Any]) -> None:
+def _write_parts(message: Mapping[str, Any], parts: list[Any], levels: int) -> None:
     """Write large buffers without the encoder's copies, and long lists a piece at a time.
 
     The encoder keeps the interpreter's lock from its first value to its last; between two pieces
@@ -269,8 +298,8 @@ def _write_parts(message: Mapping[str, Any], parts: list[Any]) -> None:
             if isinstance(value, memoryview):
                 octets = value.cast("B") if value.c_contiguous else value.tobytes()
             parts += (_head(2, len(octets)), octets)
-        elif isinstance(value, dict):
-            _write_parts(value, parts)
+        elif isinstance(value, dict) and levels:
+            _write_parts(value, parts, levels - 1)
         elif isinstance(value, list) and len(value) >= _LARGE:
             parts.append(_head(4, len(value)))
             for start in range(0, len(value), _LARGE):
@@ -301,6 +330,10 @@ def _encode_foreign(encoder: cbor2.CBOREncoder, value: Any) -> None:
     raise MessageError(f"a value of type {type(value).__name__}")
 
 
+def _encode_as_text(encoder: cbor2.CBOREncoder, value: Any) -> None:
+    encoder.encode(orjson.loads(orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY)))
+
+
 def _encode_octets(encoder: cbor2.CBOREncoder, value: Any) -> None:
     encoder.encode(value.tobytes())
 
@@ -311,14 +344,25 @@ def _encode_array(encoder: cbor2.CBOREncoder, value: array[Any]) -> None:
 
 
 def _encode_other(encoder: cbor2.CBOREncoder, value: Any) -> None:
+    if isinstance(value, _AS_TEXT) or (is_dataclass(value) and not isinstance(value, type)):
+        _encode_as_text(encoder, value)
+        return
     if not hasattr(value, "__array_interface__"):
         raise MessageError(f"a value of type {type(value).__name__}")
     if value.ndim == 0:
         encoder.encode(value.item())
     elif value.dtype == "uint8" and value.ndim == 1:
         encoder.encode(value.tobytes())
-    elif (value.dtype.kind, value.dtype.itemsize) not in _LITTLE_TAGS or 0 in value.shape[1:]:
-        encoder.encode(value.tolist())  # also rows of nothing, which nothing would stand for
+    elif value.dtype.kind == "f" and value.dtype.itemsize == _HALF:  # which browsers do not have
+        _encode_other(encoder, value.astype("float32"))
+    elif value.dtype.kind == "M":
+        _encode_as_text(encoder, value)
+    elif (
+        (value.dtype.kind, value.dtype.itemsize) not in _LITTLE_TAGS
+        or 0 in value.shape[1:]  # rows of nothing, which nothing would stand for
+        or value.ndim > WRITTEN.dimensions
+    ):
+        encoder.encode(value.tolist())
     elif value.ndim == 1:
         octets = value.astype(value.dtype.newbyteorder("<"), copy=False).tobytes()
         _encode_typed(encoder, value.dtype.kind, value.dtype.itemsize, octets)
@@ -438,12 +482,13 @@ def _examine(value: Any, spending: BudgetUse, allowed: set[type]) -> None:
 
 # What the library would write, and no reader of messages takes.
 _FOREIGN_TYPES = (
-    set, frozenset, complex, date, datetime, Decimal, Fraction, UUID, re.Pattern,
+    set, frozenset, complex, Decimal, Fraction, re.Pattern,
     IPv4Address, IPv6Address, IPv4Network, IPv6Network, IPv4Interface, IPv6Interface,
     cbor2.CBORTag, cbor2.CBORSimpleValue, type(cbor2.undefined),
 )  # fmt: skip
 _ENCODERS: dict[Any, Any] = {
     **dict.fromkeys(_FOREIGN_TYPES, _encode_foreign),
+    **dict.fromkeys((datetime, date, UUID), _encode_as_text),
     **dict.fromkeys((dict, defaultdict, OrderedDict), _encode_map),
     memoryview: _encode_octets,
     array: _encode_array,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from uoarm._spelling import did_you_mean
 from uoarm._wire._binary import (
+    WRITTEN,
     decoding_octets,
     join_list,
     join_map,
@@ -116,14 +117,14 @@ class _TextForm(Form):
     name, subprotocol, text = "json", "uoarm.v1.json", True
 
     def write(self, message: Message) -> bytes:
-        return write_text(message)
+        return b"".join(write_text_parts(message, WRITTEN))
 
     def write_data(
         self, connection: str, number: int, message: Message, *, standing: bool = False
     ) -> bytes:
         head = f'{{"op":"Data","type":"{connection}","x-number":{number},'
         head += '"x-standing":true,"jsonMessage":' if standing else '"jsonMessage":'
-        return b"".join((head.encode(), *write_text_parts(message), b"}"))
+        return b"".join((head.encode(), *write_text_parts(message, WRITTEN), b"}"))
 
     def list_of(self, parts: Sequence[bytes]) -> bytes:
         return b"[" + b",".join(parts) + b"]"

@@ -18,7 +18,7 @@ import orjson
 from pybase64 import b64encode
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import BudgetUse, Message, count_names, read_json, scan_json
+from uoarm.model import Budget, BudgetUse, Message, count_names, read_json, scan_json
 
 # No JSON text holds this character as it is: in a string it is written as an escape.
 _GAP = b"\0"
@@ -139,23 +139,33 @@ def write_text(message: Message) -> bytes:
     return b"".join(write_text_parts(message))
 
 
-def write_text_parts(message: Message) -> list[bytes]:
+def write_text_parts(message: Message, most: Budget | None = None) -> list[bytes]:
     """Return a message as JSON text in parts, to be joined with what stands around it.
 
+    Args:
+        message: what to write.
+        most: what it may be; None: anything.
+
     Raises:
-        MessageError: a value in it has no form in JSON; the text says which type.
+        MessageError: a value in it has no form in JSON, and the text says which type; or it is
+            more than it may be.
     """
     try:
-        skeleton, parts = dump_parts(message, _write_other, _OPTIONS)
-        if b"null" not in skeleton:
-            return parts
-    except (TypeError, ValueError):
-        pass
-    # orjson writes NaN as null and refuses wide integers: then look at what is to be written.
-    try:
-        return dump_parts(_exact(message), _write_other, _OPTIONS)[1]
+        try:
+            skeleton, parts = dump_parts(message, _write_other, _OPTIONS)
+        except (TypeError, ValueError):
+            skeleton = b"null"
+        # orjson writes NaN as null and refuses wide integers: then look at what is to be written.
+        if b"null" in skeleton:
+            skeleton, parts = dump_parts(_exact(message), _write_other, _OPTIONS)
+        if most is not None:
+            spending = BudgetUse(most)
+            spending.octets(sum(map(len, parts)))
+            if len(skeleton) > most.elements:  # else each octet may be a value
+                scan_json(skeleton.decode(), spending)
     except (TypeError, ValueError, RecursionError) as error:
         raise MessageError(f"the message has no form as JSON text: {error}") from error
+    return parts
 
 
 def _write_other(value: Any) -> Any:

@@ -14,9 +14,8 @@ from urllib.parse import urlsplit
 from attrs import field, frozen
 
 from uoarm._arguments import arguments
-from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
+from uoarm._wire import BINARY_FORM, LARGEST, TEXT_FORM, Form
 from uoarm.client._client import RemoteRobot
-from uoarm.client._link import LARGEST
 from uoarm.client._socket import ClientSocket
 from uoarm.errors import UsageError
 

@@ -18,7 +18,7 @@ from websockets.frames import CloseCode
 from uoarm._backoff import Backoff
 from uoarm._raised import text_of
 from uoarm._support.aio_deadlines import result_within
-from uoarm._wire import Form
+from uoarm._wire import LARGEST, Form
 from uoarm.bridge import boot_seconds
 from uoarm.client._answers import KEPT, RESUMED, checked, error_of
 from uoarm.client._socket import ClientSocket, Received
@@ -28,10 +28,8 @@ from uoarm.errors import (
     MessageError,
     UoarmError,
 )
-from uoarm.model import Budget, BudgetUse
+from uoarm.model import BudgetUse
 
-# A server is believed more than a client is, but what it sends is bounded, too.
-LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=32)
 # What reading a message raises that is none, or lacks what the protocol says it has.
 _STRANGE = (ControlMessageError, AttributeError, LookupError, TypeError, ValueError)
 _KEEP, _RESUME = "keep", "resume"

@@ -73,9 +73,9 @@ def form_of(function: str, structure: MessageStructure, metadata: Mapping[str, s
             pass  # it has no fixed layout, or names that no message file may have
         else:
             return _cdr_form(topic, definition, encode, all_metadata)
-    from uoarm._wire import TEXT_FORM, viewer_schema  # noqa: PLC0415 - needs an extra
+    from uoarm._wire import viewer_schema, write_text  # noqa: PLC0415 - needs an extra
 
-    write = TEXT_FORM.write if _has_octets(structure.schema) else _text_writer(TEXT_FORM.write)
+    write = write_text if _has_octets(structure.schema) else _text_writer(write_text)
     schema = viewer_schema(structure.schema).encode()
     name = structure.native_type or function
     return ChannelForm(topic, name, "jsonschema", schema, "json", write, all_metadata)
