@@ -39,7 +39,9 @@ SPARE_WORKERS = 4
 # One worker runs all tests of these, so that the scene is started, or what they share is built,
 # once, and always as they stand, as parts of a scene are ended one after another.
 TOGETHER = {
+    "plugins/uoarm-ros1/tests/test_roscpp.py",
     "tests/examples/test_healthbot.py",
+    "tests/examples/test_vision_components.py",
     "tests/harness/test_harness.py",
     "tests/packaging/test_distributions.py",
     "tests/test_layers.py",
