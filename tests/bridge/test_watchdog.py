@@ -10,7 +10,7 @@ import pytest
 
 from uoarm.bridge import HealthEvent, Sink, _watchdog
 from uoarm.bridge._watchdog import Watchdog
-from uoarm.errors import CommandRefusedError
+from uoarm.errors import BridgeTimeoutError, CommandRefusedError
 from uoarm.model import (
     CommandPhase,
     CommandPolicy,
@@ -38,14 +38,19 @@ class Base(MemoryBridge):
         self.taken: list[Message] = []
         self.parallel = parallel
         self.hang: threading.Event | None = None
+        self.hangs_in = GO
         self.refuses = False
         self.in_send = threading.Event()
         self.was_closed_after: list[Message] = []
         self.drained: list[list[Message]] = []
+        self.made: Sink | None = None
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        if self.made is not None:
+            return self.made
+
         def send(message: Message) -> None:
-            if message == GO and self.hang is not None:
+            if message == self.hangs_in and self.hang is not None:
                 self.in_send.set()
                 assert self.hang.wait(patience())
             if message == STOP and self.refuses:
@@ -172,6 +177,44 @@ def test_what_moves_is_stopped_before_it_is_closed(base: Base) -> None:
     sink.send(GO)
     sink.close()
     assert base.was_closed_after == [GO, STOP]
+
+
+@pytest.mark.parametrize("first", ["its input", "the bridge"])
+def test_a_close_of_a_bridge_waits_for_the_stop_of_what_another_thread_closes(
+    base: Base, monkeypatch: pytest.MonkeyPatch, first: str
+) -> None:
+    monkeypatch.setattr(_watchdog, "_LAST_SECONDS", patience())
+    sink = base.open_sink(ENDPOINT, ANY)
+    sink.send(GO)
+    base.hang, base.hangs_in = threading.Event(), STOP
+    end = sink.close if first == "its input" else base.close
+    closing = Background(lambda: end(timeout=patience()))
+    assert base.in_send.wait(patience())
+
+    taken: list[list[Message]] = []
+
+    def close() -> None:
+        base.close(timeout=patience())
+        taken.append(list(base.taken))
+
+    waiting = Background(close)
+    wait(lambda: taken or vars(base)["_channels_changed"]._waiters)
+    base.hang.set()
+    waiting.result()
+    assert taken == [[GO, STOP]]
+    closing.result()
+
+
+def test_a_close_of_a_bridge_does_not_wait_for_what_was_given_up(base: Base) -> None:
+    hang = threading.Event()
+    sink = Sink(ENDPOINT, lambda _: None, lambda: hang.wait(patience()))
+    base.made = sink
+    with pytest.raises(BridgeTimeoutError):
+        base.open_sink(ENDPOINT, ANY).close(timeout=0.05)
+    Background(lambda: base.close(timeout=10 * patience())).result()
+    assert sink.is_in_use
+    hang.set()
+    wait(lambda: not sink.is_in_use)
 
 
 def test_a_close_waits_for_a_thread_that_a_busy_machine_holds_up(

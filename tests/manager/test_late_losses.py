@@ -244,7 +244,7 @@ class OneAtATime(MemoryBridge):
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
     ) -> Source:
-        self.beside.append(sum(not source.closed or source.is_closing for source in self.opened))
+        self.beside.append(sum(source.is_in_use for source in self.opened))
         self.opened.append(super()._open_source(endpoint, structure, deliver))
         return self.opened[-1]
 

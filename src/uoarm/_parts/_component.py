@@ -137,7 +137,7 @@ class LiveComponent:
     def is_hanging(self) -> bool:
         """Whether a thread is still inside its code, in a message or in closing a channel."""
         return any(turn.locked() for turn in tuple(self._turns.values())) or any(
-            channel.is_closing for channel in tuple(self._closed)
+            channel.is_in_use for channel in tuple(self._closed)
         )
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from functools import partial
@@ -81,9 +82,11 @@ class Bridge(BridgeSteps):
     def __init__(self, name: str, options: Options | DeclaredOptions) -> None:
         self.name = name
         self.options = options
-        self._lock = threading.Lock()
+        # Guards the channels that are there and the ends of `close`, which it waits for.
+        self._channels_changed = threading.Condition()
+        # Those that are being closed included: their stops need the framework.
         self._open: set[Channel] = set()
-        self._is_closed = False
+        self._is_closed = self._is_over = False
         self._process = generation()
         self._listener: Callable[[HealthEvent], None] | None = None
         # What was said last of the whole bridge before anything listened: a thread that it began
@@ -102,7 +105,7 @@ class Bridge(BridgeSteps):
     @property
     def open_channels(self) -> int:
         """How many channels are open now."""
-        return len(self._open)
+        return sum(not channel.closed for channel in tuple(self._open))
 
     @property
     def process_id(self) -> int | None:
@@ -361,16 +364,27 @@ class Bridge(BridgeSteps):
     def close(self, *, timeout: float = 5.0) -> None:
         """Close every channel, then the bridge. Idempotent; does nothing in a forked child.
 
+        Waits for what another thread is closing, no longer than that one does, nor `timeout`.
+
         Raises:
             BridgeError: something failed while closing; the rest was closed all the same.
         """
         if generation() != self._process:
             return  # in a child that was forked: it is its parent's
-        with self._lock:
+        with self._channels_changed:
             if self._is_closed:
+                # The process may end after this: no stop must be on its way then.
+                self._wait_for(lambda: self._is_over, timeout)
                 return
             self._is_closed = True
-            channels = list(self._open)
+        try:
+            self._close_all(timeout)
+        finally:
+            with self._channels_changed:
+                self._is_over = True
+                self._channels_changed.notify_all()
+
+    def _close_all(self, timeout: float) -> None:
         failures: list[BridgeError] = []
         if len(self._pending_calls):
             step = f"bridge {self.name!r}: cancelling calls"
@@ -379,11 +393,14 @@ class Bridge(BridgeSteps):
                     deadlines.run(step, timeout, self._pending_calls.cancel_all)
             except BridgeError as error:
                 failures.append(error)
-        for channel in channels:
+        for channel in tuple(self._open):
             try:
                 channel.close(timeout=timeout)
             except BridgeError as error:
                 failures.append(error)
+        with self._channels_changed:  # until the others that were being closed are
+            until = max((channel._closes_until for channel in self._open), default=0.0)  # noqa: SLF001 - its one owner
+            self._wait_for(lambda: not self._open, min(timeout, until - time.monotonic()))
         step = f"bridge {self.name!r}: closing"
         with translated(step):
             deadlines.run(step, timeout, self._close)
@@ -508,7 +525,7 @@ class Bridge(BridgeSteps):
         if not isinstance(channel, kind):
             raise self._broken(what, f"a {kind.__name__}", channel)
         channel._gate, channel._is_quick = gate, is_quick  # noqa: SLF001 - its one owner
-        with self._lock:
+        with self._channels_changed:
             keep = not self._is_closed
             if keep:
                 self._open.add(channel)
@@ -518,9 +535,13 @@ class Bridge(BridgeSteps):
             raise BridgeError(f"bridge {self.name!r} was closed: {what}", FailureReason.CLOSED)
         return channel
 
+    def _wait_for(self, ready: Callable[[], bool], timeout: float) -> None:
+        self._channels_changed.wait_for(ready, min(timeout, threading.TIMEOUT_MAX))
+
     def _forget(self, channel: Channel) -> None:
-        with self._lock:
+        with self._channels_changed:
             self._open.discard(channel)
+            self._channels_changed.notify_all()
 
     def _require(self, able: bool, what: str) -> None:  # noqa: FBT001
         if not able:

@@ -47,6 +47,7 @@ class Channel:
         self._close_given = close
         self._closing = threading.Lock()
         self._closed = False
+        self._closes_until = 0.0  # when a close that is under way is given up
         self._process = generation()
         self._let_go = False
         self._when_closed: Callable[[Channel], None] | None = None
@@ -61,9 +62,9 @@ class Channel:
 
     @final
     @property
-    def is_closing(self) -> bool:
-        """Whether `close` was called and the framework has not let go yet."""
-        return self._closed and not self._let_go
+    def is_in_use(self) -> bool:
+        """Whether the framework has the link still: it is open, or has not let go yet."""
+        return not self._let_go
 
     @final
     def close(self, *, timeout: float = _CLOSE_SECONDS) -> None:
@@ -84,14 +85,17 @@ class Channel:
             if self._closed:
                 return
             self._closed = True
-        if self._when_closed is not None:
-            self._when_closed(self)
-        if self._gate is not None:
-            # In this thread, not in a step's: a `deliver` that closes its own channel has the turn.
-            self._gate.shut()
-        step = BoundedStep(f"bridge {self.endpoint.bridge!r}: closing ", self.endpoint)
-        with translated(step):
-            deadlines.run(step, timeout, self._close_native, keeps_time=self._is_quick)
+            self._closes_until = time.monotonic() + timeout
+        try:
+            if self._gate is not None:
+                # In this thread, not a step's: a `deliver` that closes its own channel has the turn
+                self._gate.shut()
+            step = BoundedStep(f"bridge {self.endpoint.bridge!r}: closing ", self.endpoint)
+            with translated(step):
+                deadlines.run(step, timeout, self._close_native, keeps_time=self._is_quick)
+        finally:
+            if self._when_closed is not None:
+                self._when_closed(self)
 
     def _overrides(self, step: str, base: type[Channel]) -> bool:
         return getattr(type(self), step) is not getattr(base, step)

@@ -188,10 +188,8 @@ class NodeLease:
     @property
     def is_over(self) -> bool:
         """Whether the node is not needed any more for this."""
-        channel = self.channel
         # One that is being closed needs it still, for its stop message.
-        is_gone = channel is not None and channel.closed and not channel.is_closing
-        return self.is_released or is_gone
+        return self.is_released or (self.channel is not None and not self.channel.is_in_use)
 
 
 class ManagedNode:

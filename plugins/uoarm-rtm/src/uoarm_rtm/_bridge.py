@@ -279,7 +279,7 @@ class RtmBridge(Bridge):
         self._ticker.close(_EXIT_SECONDS)
         deadline = time.monotonic() + _EXIT_SECONDS
         for channel in list(self._open):
-            if time.monotonic() < deadline:
+            if not channel.closed and time.monotonic() < deadline:
                 with contextlib.suppress(BridgeError):
                     channel._close()  # noqa: SLF001 - all of them are ours
         self._active.tick()

@@ -494,5 +494,5 @@ class Activations:
         with self._guard:
             # One that is being closed needs it still: a component that is not ACTIVE drops the
             # stop message without a word.
-            known.users = {user for user in known.users if user.is_closing or not user.closed}
+            known.users = {user for user in known.users if user.is_in_use}
             return bool(known.users)

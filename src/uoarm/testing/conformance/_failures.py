@@ -209,7 +209,7 @@ class Breaking:
             for channel in (through.source, through.sink):
                 with suppress(BridgeError):  # that it could not say goodbye
                     Background(channel.close).result(world.patience)
-                assert not channel.is_closing, f"{channel.endpoint} was not let go"
+                assert not channel.is_in_use, f"{channel.endpoint} was not let go"
 
     @of_paths
     def test_what_opens_while_it_is_broken_carries_once_it_is_mended(
