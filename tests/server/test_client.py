@@ -379,7 +379,9 @@ async def test_when_the_server_closes_everything_that_waits_fails(serve: Serve) 
         slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
         await client.status()
         client._link.most = None  # as a client that does not know: the server closes
-        with pytest.raises(ConnectionClosedError):
+        with pytest.raises(
+            ConnectionClosedError, match=f"to the server at ws://.*:{server.ports[0]}/"
+        ):
             await client.call("add", {"a": "x" * 3000})
         with pytest.raises(ConnectionClosedError):
             await slow

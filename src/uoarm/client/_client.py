@@ -51,6 +51,7 @@ class RemoteRobot(ServerQuestions):
         reconnect: float = 0.0,
         on_link: Callable[[str], object] = str,
         answer: float = 120.0,
+        place: str = "the server",
     ) -> None:
         self._answer_seconds = answer
         self.hello: Mapping[str, Any] = {}
@@ -65,6 +66,7 @@ class RemoteRobot(ServerQuestions):
             self._settle,
             on_link,
         )
+        self._link.place = place
         self._ended = asyncio.Event()
         self._ids = itertools.count(1)
         self._asked: dict[str, _PendingRequest] = {}
@@ -529,7 +531,7 @@ class RemoteRobot(ServerQuestions):
 
     def _late(self, what: str, seconds: float) -> errors.BridgeTimeoutError:
         trouble = f"; {self._link.trouble}" if self._link.trouble else ""
-        text = f"the server has not answered {what} within {seconds:g} s{trouble}"
+        text = f"{self._link.place} has not answered {what} within {seconds:g} s{trouble}"
         return errors.BridgeTimeoutError(text)
 
 

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from attrs import field, frozen
 
 from uoarm._arguments import arguments
+from uoarm._secrets import without_secrets
 from uoarm._wire import BINARY_FORM, LARGEST, TEXT_FORM, Form
 from uoarm.client._client import RemoteRobot
 from uoarm.client._socket import ClientSocket
@@ -52,6 +53,7 @@ class ServerAddress:
         binary: bool = True,
         reconnect: float = 0.0,
         on_link: Callable[[str], object] = str,
+        place: str = "the server",
     ) -> RemoteRobot:
         """Return what connects there for the length of `async with robot.running(resume=True)`.
 
@@ -60,9 +62,11 @@ class ServerAddress:
             reconnect: as of `connect`.
             on_link: called in the loop with why the connection dropped, at once, and with "" when
                 messages pass again.
+            place: the server, as errors name it.
         """
         form = BINARY_FORM if binary else TEXT_FORM
-        return RemoteRobot(partial(self._open, form), form, reconnect, on_link, self.answer)
+        opening = partial(self._open, form)
+        return RemoteRobot(opening, form, reconnect, on_link, self.answer, place)
 
     async def _open(self, form: Form) -> ClientSocket:
         headers = dict(self.headers)
@@ -114,7 +118,10 @@ async def connect(
         UsageError: the token is none.
     """
     server = ServerAddress(url, token, tls, timeout, answer=answer)
-    async with server.robot(binary=binary, reconnect=reconnect).running(resume=resume) as robot:
+    made = server.robot(
+        binary=binary, reconnect=reconnect, place=f"the server at {without_secrets(url)}"
+    )
+    async with made.running(resume=resume) as robot:
         yield robot
 
 

@@ -64,6 +64,7 @@ class Link:
             again, in the same session or another.
 
     Attributes:
+        place: the server, as errors name it.
         session: how many sessions were begun after the first.
         most: octets of a message that the server takes; None: it has not said so yet.
         trouble: why the connection dropped and is not there again yet; "": it is.
@@ -80,6 +81,7 @@ class Link:
         went_on: Callable[[Sequence[Mapping[str, Any]]], object] = len,
         changed: Callable[[str], object] = str,
     ) -> None:
+        self.place = "the server"
         self._open = opening
         self._form = form
         self._take = take
@@ -141,7 +143,7 @@ class Link:
             await self._socket.send_whole(frame, text=self._form.text)
         except ConnectionClosed as error:
             if not self._key or session != self.session:
-                raise ConnectionClosedError(f"the server is gone: {error}") from error
+                raise ConnectionClosedError(f"{self.place} is gone: {error}") from error
             # Whether it arrived is known when the session goes on: then it has its answer.
 
     @property
@@ -224,8 +226,8 @@ class Link:
         except ConnectionClosed as error:
             self._is_final = error.rcvd is not None and error.rcvd.code in _FINAL
             if error.rcvd is not None or not self._key:
-                return f"the connection to the server ended: {error}"
-            cause = f"the connection to the server dropped: {error.__cause__ or error}"
+                return f"the connection to {self.place} ended: {error}"
+            cause = f"the connection to {self.place} dropped: {error.__cause__ or error}"
             self._changed(cause)
             return await self._renew(cause)
         except _STRANGE as error:
@@ -233,7 +235,7 @@ class Link:
             await self._socket.close(CloseCode.PROTOCOL_ERROR)
             return _strange(error)
         self._is_final = self._socket.close_code in _FINAL
-        return "the server closed the connection"
+        return f"{self.place} closed the connection"
 
     async def _begin_anew(self, cause: str) -> str:
         """Begin another session; returns why that failed, or nothing."""

@@ -61,7 +61,7 @@ for (const reconnect of [0, 0.3]) {
   await say("stop");
   await assert.rejects(stream.get(), { code: "closed" });
   assert.equal(stream.state, "failed");
-  assert.match(stream.cause, reconnect ? /connecting again: / : /the connection ended/);
+  assert.match(stream.cause, reconnect ? /connecting again: / : /the connection to the server at ws:.* ended/);
   await say("start");
 }
 const robot = await connect(url, { ...options, reconnect: 1e6 });

@@ -180,7 +180,7 @@ test("a server that answers nothing is not waited for without end", async () => 
   }
   const robot = await connect("ws://x/", { WebSocket, answer: 0.01 });
   await assert.rejects(robot.functions(), {
-    code: "timeout", message: "the server has not answered List within 0.01 s",
+    code: "timeout", message: "the server at ws://x/ has not answered List within 0.01 s",
   });
   await assert.rejects(robot.call("add", 1, { timeout: 0.01 }), { code: "timeout" });
   assert.deepEqual(sent.at(-1).jsonMessage, { call: true });

@@ -61,7 +61,7 @@ test("why a connection ended has no empty reason", async () => {
   socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
   const waiting = (await connecting).status();
   socket.onclose({ code: 1006, reason: "" });
-  await assert.rejects(waiting, { code: "closed", message: "the connection ended (1006)" });
+  await assert.rejects(waiting, { code: "closed", message: "the connection to the server at ws://x/ ended (1006)" });
 });
 
 test("what runs out of time while the connection is down says why it is", async () => {
@@ -72,7 +72,7 @@ test("what runs out of time while the connection is down says why it is", async 
   first.deliver({ op: "Reply", id: "keep", jsonMessage: { key: "key", seconds: 5 } });
   first.onclose({ code: 1006, reason: "" });
   Socket.made.at(-1).onerror();
-  const text = "the server has not answered Status within 0.05 s; the connection ended (1006); connecting again: ";
+  const text = "the server at ws://x/ has not answered Status within 0.05 s; the connection to the server at ws://x/ ended (1006); connecting again: ";
   await assert.rejects(robot.status(), ({ code, message }) => code === "timeout" && message.startsWith(text));
   robot.close();
 });

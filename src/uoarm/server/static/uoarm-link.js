@@ -98,6 +98,7 @@ function octetsOf(frame, most) {
  * is called with the server's counters of this client where the same session goes on.
  */
 export class Link {
+  #place;
   #open;
   #form;
   #timeout;
@@ -121,7 +122,8 @@ export class Link {
   trouble = "";  // why the connection ended, and is not there again yet
   most = Infinity;  // octets of a message that the server takes
 
-  constructor({ open, form, timeout, resume, reconnect, take, lost, begun, wentOn, ended }) {
+  constructor({ place = "the server", open, form, timeout, resume, reconnect, take, lost, begun, wentOn, ended }) {
+    this.#place = place;
     this.#open = open;
     this.#form = form;
     this.#timeout = timeout;
@@ -219,7 +221,7 @@ export class Link {
 
   async #closed({ code, reason }) {
     this.#socket = null;
-    let error = new UoarmError("closed", `the connection ended (${code}) ${reason}`.trimEnd());
+    let error = new UoarmError("closed", `the connection to ${this.#place} ended (${code}) ${reason}`.trimEnd());
     if (code === DROPPED && this.#key) {
       error = await this.#retry(error, this.#seconds, (timeout) => this.#goOn(timeout));
     }

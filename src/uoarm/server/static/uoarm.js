@@ -405,13 +405,16 @@ export class Robot {
   #next = 1;
   #ended = null;
   #answer;
+  #place;
   #abandoned = new Set(); // Requests without an answer in time: what they open is given back
 
-  constructor({ answer, ...options }) {
+  constructor({ answer, place = "the server", ...options }) {
     this.hello = null;
     this.#answer = answer;
+    this.#place = place;
     this.#link = new Link({
       ...options,
+      place,
       take: (received) => this.#take(received),
       lost: (error) => this.#lose(error),
       begun: () => this.#openAgain(),
@@ -575,7 +578,7 @@ export class Robot {
     if (op === "Request") this.#abandoned.add(id);
     if (op === "Call") this.#ask({ op: "Kill", type: id, jsonMessage: { call: true } }).catch(() => {});
     const what = type === undefined ? op : `${op} ${type}`;
-    const text = [`the server has not answered ${what} within ${seconds} s`, this.#link.trouble];
+    const text = [`${this.#place} has not answered ${what} within ${seconds} s`, this.#link.trouble];
     reject(new UoarmError("timeout", text.filter(Boolean).join("; ")));
   }
 
@@ -711,11 +714,12 @@ export async function connect(
   if (shown && !TOKEN.test(shown)) throw new UoarmError("usage", NO_TOKEN);
   if (shown !== undefined) protocols.push(`uoarm.token.${shown}`);
   const open = () => new Socket(url, protocols);
+  const shownUrl = String(url).replace(/([?&]token=)[^&#]*/, "$1***");
+  const place = `the server at ${shownUrl}`;
   try {
-    return await new Robot({ open, form, timeout, resume, reconnect, answer }).start();
+    return await new Robot({ place, open, form, timeout, resume, reconnect, answer }).start();
   } catch (error) {
     if (!(error instanceof UoarmError)) throw error;
-    const place = String(url).replace(/([?&]token=)[^&#]*/, "$1***");
-    throw new UoarmError("closed", `${place}: ${error.message}`);
+    throw new UoarmError("closed", `${shownUrl}: ${error.message}`);
   }
 }
