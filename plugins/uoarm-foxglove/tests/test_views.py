@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from array import array
 from typing import Any
 
 import pytest
@@ -80,6 +81,25 @@ def test_pixels_that_are_too_few_are_none() -> None:
 
 
 @pytest.mark.parametrize(
+    ("encoding", "octets"),
+    [("mono8", 1), ("bayer_rggb8", 1), ("bayer_grbg16", 2), ("rgb8", 3), ("bgra8", 4), ("rgb16", 6),
+     ("8UC3", 3), ("16UC1", 2), ("32FC1", 4), ("yuyv", 2)],
+)  # fmt: skip
+def test_pixels_have_the_octets_of_their_encoding(encoding: str, octets: int) -> None:
+    schema = some(width=INTEGER, height=INTEGER, encoding=TEXT, data=OCTETS)
+    message = {"width": 4, "height": 2, "encoding": encoding, "data": bytes(8 * octets)}
+    assert drawn(schema, message)[1]["step"] == 4 * octets
+
+
+def test_what_does_not_match_its_structure_is_left_out() -> None:
+    schema = some(width=INTEGER, height=INTEGER, encoding=TEXT, data=OCTETS)
+    codec = view_of(MessageStructure(schema), "eye")
+    assert codec is not None
+    with pytest.raises(MessageError, match="cannot be drawn as RawImage: TypeError"):
+        codec.write({"width": 4, "height": 2, "encoding": 5, "data": b"12345678"})
+
+
+@pytest.mark.parametrize(
     ("schema", "message", "kind"),
     [
         (some(format=TEXT, data=OCTETS), {"format": "bgr8; jpeg compressed", "data": b"1"}, "jpeg"),
@@ -129,6 +149,13 @@ def test_cells_are_a_grid() -> None:
     assert name == "foxglove_msgs/msg/Grid"
     assert (read["column_count"], read["cell_size"]) == (2, {"x": 0.5, "y": 0.5})
     assert (read["fields"][0]["type"], read["data"]) == (2, b"\xff\0\x32\x64")
+
+
+def test_octets_in_an_array_are_cells_of_a_grid() -> None:
+    schema = some(width=INTEGER, height=INTEGER, resolution=NUMBER, data=OCTETS)
+    cells = array("B", [0, 1, 2, 255])
+    _, read = drawn(schema, {"width": 2, "height": 2, "resolution": 0.5, "data": cells})
+    assert (read["fields"][0]["type"], read["data"]) == (1, b"\0\1\2\xff")
 
 
 @pytest.mark.parametrize("many", [False, True])

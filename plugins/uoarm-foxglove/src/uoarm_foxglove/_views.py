@@ -7,7 +7,7 @@ viewers know, beside the one with its messages as they are. What is of such a ty
 from __future__ import annotations
 
 import math
-import struct
+import re
 import time
 from array import array
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,8 @@ _KNOWN_PACKAGES = ("sensor_msgs/", "nav_msgs/", "tf2_msgs/", "geometry_msgs/", "
 _STAMPS: tuple[Path, ...] = (("timestamp",), ("stamp",), ("header", "stamp"), ("tm",))
 _FRAMES: tuple[Path, ...] = (("frame_id",), ("header", "frame_id"))
 _PIXELS = {8: "mono8", 16: "mono16", 24: "bgr8", 32: "bgra8"}  # by bits, as OpenCV has them
-_SIZES = {"mono8": 1, "8UC1": 1, "mono16": 2, "16UC1": 2, "rgba8": 4, "bgra8": 4, "32FC1": 4}
+_OPENCV = re.compile(r"(8|16|32|64)[USF]C(\d+)")
+_NAMED = re.compile(r"(mono|bayer|rgba?|bgra?)(?:_[a-z]+)?(8|16)")
 _FLOAT64, _INT8, _UINT8 = 8, 2, 1
 _IDENTITY = {
     "position": {"x": 0.0, "y": 0.0, "z": 0.0},
@@ -121,7 +122,7 @@ def _codec(kind: str, make: Make) -> StructureCodec:
     def write(message: Message) -> bytes:
         try:
             made = make(message)
-        except (KeyError, TypeError, ValueError, IndexError, OverflowError, struct.error) as error:
+        except Exception as error:  # few messages are checked: one may be anything
             text = f"{kind}: {text_of(error)}"
             raise MessageError(f"a message cannot be drawn as {text}") from error
         return b"".join(serialise(made))
@@ -242,14 +243,23 @@ def _raw_image(fields: Fields, frame: str) -> Make | None:
     def make(message: Any) -> dict[str, Any]:
         octets, width, height = _get(message, data), message["width"], message["height"]
         encoding = _get(message, named) if named else _PIXELS[_get(message, bits or ())]
-        size = _SIZES.get(encoding, 3 if encoding.endswith("8") else 2)
-        step = message["step"] if has_step and message["step"] else width * size
+        step = (has_step and message["step"]) or width * _pixel_octets(encoding)
         if len(octets) < step * height:
             raise ValueError(f"{len(octets):,} octets are not {height} rows of {step}")
         shape = {"width": width, "height": height, "step": step}
         return {**header(message), **shape, "encoding": encoding, "data": octets}
 
     return make
+
+
+def _pixel_octets(encoding: str) -> int:
+    """Return how many octets a pixel has in an encoding of ROS; of those with other names two."""
+    if found := _OPENCV.fullmatch(encoding):
+        return int(found[1]) // 8 * int(found[2])
+    found = _NAMED.fullmatch(encoding)
+    if found is None:
+        return 2
+    return int(found[2]) // 8 * (1 if found[1] in {"mono", "bayer"} else len(found[1]))
 
 
 def _compressed_image(fields: Fields, frame: str) -> Make | None:
@@ -332,11 +342,10 @@ def _grid(fields: Fields, frame: str) -> Make | None:
     data = fields.get("data")
     if not (_is_octets(data) or _is_list_of(data, _is_integer)):
         return None
-    header = _header(fields, frame)
+    header, kind = _header(fields, frame), _UINT8 if _is_octets(data) else _INT8
 
     def make(message: Any) -> dict[str, Any]:
         shape, cells = _get(message, inner), message["data"]
-        kind = _UINT8 if isinstance(cells, bytes | bytearray | memoryview) else _INT8
         octets = bytes(cells) if kind == _UINT8 else array("b", cells).tobytes()
         if len(octets) != shape["width"] * shape["height"]:
             size = f"{shape['width']} by {shape['height']}"
