@@ -31,6 +31,9 @@ functions:
           lifetime: 3600
           stop: {message: {v: 0}}
           lease: {duration: 3600}
+  gone:
+    components:
+      - {name: gone, bridge: memory, input: {endpoint: [gone]}}
 """
 SPEED = {"type": "object", "properties": {"v": {"type": "integer"}}, "required": ["v"]}
 
@@ -118,6 +121,21 @@ def test_what_a_viewer_does_before_its_first_listing_waits_for_it(
         listed.set()
         wait(lambda: len(base.taken.messages) == 2, "what was published early did not arrive")
         assert [message["v"] for message in base.taken.messages] == [1, 2]
+
+
+def test_what_a_viewer_withdrew_fails_without_the_next_of_its_number(
+    robot: RobotManager, base: Taker, listed: threading.Event
+) -> None:
+    with serve_in_thread(robot, ServerOptions(port=0)) as server, Viewer(server) as viewer:
+        viewer.send("advertise", channels=[{"id": 1, "topic": "/gone", "encoding": "json"}])
+        viewer.publish(1, b'{"v": 1}')
+        viewer.send("unadvertise", channelIds=[1])
+        viewer.send("advertise", channels=[{"id": 1, "topic": "/drive", "encoding": "json"}])
+        assert viewer.socket.ping().wait(patience())
+        listed.set()
+        assert "no component at ['gone']" in viewer.until("status")["message"]
+        viewer.publish(1, b'{"v": 2}')
+        wait(lambda: len(base.taken.messages) == 1, "the next one takes nothing")
 
 
 def test_no_more_waits_for_the_first_listing_than_may(

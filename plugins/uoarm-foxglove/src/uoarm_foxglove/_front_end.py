@@ -282,21 +282,25 @@ class FoxgloveSession:
             if len(self._publications) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} channels are advertised already")
             self._client.require(Operation.SEND, topic.function)
-            self._publications[number] = InputPublication(
+            # Not by its number: another one has that where this was withdrawn before it ended.
+            publication = InputPublication(
                 topic.function,
                 topic.function,
                 topic.port,
                 read_as(encoding, self._client.limits.budget, stated),
                 self._backend,
                 self._client,
-                on_ended=functools.partial(self._publication_ended, number),
+                on_ended=lambda error: self._publication_ended(number, publication, error),
             )
+            self._publications[number] = publication
 
         self._for_each(list_of(fields, "channels", dict), advertise)
 
-    def _publication_ended(self, number: int, error: BaseException) -> None:
-        publication = self._publications.pop(number, None)
-        if publication is not None:
+    def _publication_ended(
+        self, number: int, publication: InputPublication, error: BaseException
+    ) -> None:
+        if self._publications.get(number) is publication:
+            del self._publications[number]
             publication.abandon()
             self._fail(error)
 
