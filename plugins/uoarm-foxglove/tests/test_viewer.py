@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import struct
 import time
+import weakref
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
+from unittest.mock import Mock
 
 import components
 import pytest
 from components import loose_script, numbers_script, pictures_script
 from uoarm_foxglove import _catalogue
-from uoarm_foxglove._catalogue import ChannelCatalogue, InputTopic
+from uoarm_foxglove._catalogue import (
+    ChannelCatalogue,
+    InputTopic,
+    ListingQuestion,
+    VisibleListing,
+)
 from viewer import SUBPROTOCOLS, Serve, Viewer
 
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import Limits, ServerOptions, serve_in_thread
-from uoarm.server.access import hash_token, make_token
+from uoarm.server.access import AccessRole, hash_token, make_token
 from uoarm.testing import MemoryBridge, patience, wait
 
 HEADER = b"\0\1\0\0"
@@ -85,6 +93,21 @@ def test_a_viewer_that_can_be_shown_nothing_is_warned(
     with Viewer(serve()) as viewer:
         assert "its log says more" in viewer.until("status")["message"]
     assert "a fault of this catalogue" in caplog.text
+
+
+def test_of_a_role_that_asks_no_more_nothing_is_kept(robot: RobotManager) -> None:
+    catalogue = ChannelCatalogue(Mock())
+
+    def made(name: str) -> weakref.ref[VisibleListing]:
+        catalogue._found = robot.config, {}
+        question = ListingQuestion(AccessRole(name))
+        return weakref.ref(catalogue.make([question])[question].listing)
+
+    first, again = made("first"), made("first")
+    assert first() is again(), "what is equal is not made again"
+    made("second"), made("second")
+    gc.collect()
+    assert first() is None
 
 
 def test_messages_come_in_the_encoding_of_their_channel(serve: Serve) -> None:

@@ -222,6 +222,7 @@ class ChannelCatalogue:
         self._numbers = itertools.count(1)
         self._functions: dict[str, _FunctionListing] = {}
         self._listings: dict[AccessRole, VisibleListing] = {}
+        self._former: dict[AccessRole, VisibleListing] = {}
         self._made_of: object = None
 
     async def answer(self, question: ListingQuestion) -> ListingAnswer:
@@ -248,15 +249,14 @@ class ChannelCatalogue:
                 name: self._listed(function, structures.get(name, {}))
                 for name, function in robot.functions.items()
             }
-            self._listings = {
-                role: self._listing(role, listing) for role, listing in self._listings.items()
-            }
+            # Of a role that asks no more, as of an access file that was changed, nothing is kept.
+            self._former, self._listings = self._listings, {}
         return {question: self._answer(question) for question in questions}
 
     def _answer(self, question: ListingQuestion) -> ListingAnswer:
         listing = self._listings.get(question.role)
         if listing is None:
-            listing = self._listing(question.role, None)
+            listing = self._listing(question.role, self._former.get(question.role))
             self._listings[question.role] = listing
         frames: tuple[bytes, ...] = ()
         if listing is not question.known:
