@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
+from uoarm_foxglove._catalogue import VisibleListing
 from viewer import Serve, Viewer
 
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server.access import hash_token, make_token
+from uoarm.testing import patience
 
 CONFIGURATION = """
 version: 1
@@ -66,6 +69,48 @@ def test_none_is_set_and_the_viewer_gets_what_holds(serve: Serve) -> None:
         viewer.send("setParameters", parameters=[{"name": "/loose/level", "value": 7}], id="x")
         assert "set by the configuration" in viewer.until("status")["message"]
         assert viewer.until("parameterValues")["parameters"] == LOOSE
+
+
+def test_a_whole_number_beyond_64_bits_is_shown_in_its_digits(
+    serve: Serve, robot: RobotManager
+) -> None:
+    robot.apply(loads(CONFIGURATION.replace("level: 1", f"level: {2**70}")))
+    with Viewer(serve()) as viewer:
+        found = values(viewer, "/loose/level")["parameters"]
+        assert found == [{"name": "/loose/level", "value": str(2**70)}]
+
+
+def test_a_question_that_fails_is_answered(serve: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> NoReturn:
+        raise ValueError("a fault of this listing")
+
+    monkeypatch.setattr(VisibleListing, "parameter_values", fail)
+    with Viewer(serve()) as viewer:
+        viewer.send("getParameters", parameterNames=[])
+        assert "its log says more" in viewer.until("status")["message"]
+
+
+def test_what_is_asked_is_held_until_it_is_answered(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, gate, made = threading.Event(), threading.Event(), VisibleListing.parameter_values
+
+    def parameter_values(self: VisibleListing, *arguments: Any, **more: Any) -> bytes:
+        begun.set()
+        gate.wait(patience())
+        return made(self, *arguments, **more)
+
+    monkeypatch.setattr(VisibleListing, "parameter_values", parameter_values)
+    server = serve()
+    with Viewer(server) as viewer:
+        try:
+            viewer.send("getParameters", parameterNames=[f"{number:0200}" for number in range(999)])
+            assert begun.wait(patience())
+            assert viewer.socket.ping().wait(patience())
+            assert server.held_octets > 199_800
+        finally:
+            gate.set()
+        viewer.until("parameterValues")
 
 
 def test_changes_come_to_those_who_want_them(serve: Serve, robot: RobotManager) -> None:

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from attrs import frozen
 
 from uoarm.model import Component, Function, MessageStructure, Robot
-from uoarm.server.front_end import AccessRole, Backend, without_secrets
+from uoarm.server.front_end import TEXT_FORM, AccessRole, Backend, without_secrets
 from uoarm_foxglove._protocol import StructureCodec, codec_of, write
 from uoarm_foxglove._views import view_of
 
@@ -161,7 +161,8 @@ class VisibleListing:
             else {"name": name}
             for name in names or self.parameters
         ]
-        return write("parameterValues", parameters=stated, **more)
+        # Not by `write`, which has no integer beyond 64 bits: a configuration may have one.
+        return TEXT_FORM.write({"op": "parameterValues", "parameters": stated, **more})
 
 
 _NO_VALUE = object()

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from uoarm import __version__
 from uoarm.errors import ControlMessageError, UoarmError
-from uoarm.model import BudgetUse
+from uoarm.model import BudgetUse, message_octets
 from uoarm.server.front_end import (
     TEXT_FORM,
     Backend,
@@ -130,7 +130,8 @@ class FoxgloveSession:
             message = read_frame(frame, spending)
         except ControlMessageError as error:
             return functools.partial(self._fail, without_frames(error)), 0
-        return functools.partial(self._handle, message), len(frame)
+        octets = message_octets(message) if isinstance(message, dict) else len(frame)
+        return functools.partial(self._handle, message), octets
 
     def close(self) -> None:
         """Give back everything that only this client used."""
@@ -355,15 +356,21 @@ class FoxgloveSession:
         if len(self._calls) >= self._client.limits.calls:
             raise LimitError(f"{self._client.limits.calls} calls are under way")
         request = {"id": text_of(fields, "id")} if "id" in fields else {}
+        charge = self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
         reply = asyncio.ensure_future(self._show_parameters(names, request))
         self._calls.add(reply)
         reply.add_done_callback(self._calls.discard)
+        reply.add_done_callback(lambda _: charge.release())
 
     async def _show_parameters(self, names: list[str], request: dict[str, str]) -> None:
         listing = self._listing
-        frame = await self._backend.in_worker(
-            lambda: listing.parameter_values(dict.fromkeys(names), **request)
-        )
+        try:
+            frame = await self._backend.in_worker(
+                lambda: listing.parameter_values(dict.fromkeys(names), **request)
+            )
+        except Exception as error:  # noqa: BLE001 - every message is answered
+            self._fail(error)
+            return
         await self._client.outbox.room(len(frame))
         self._client.outbox.reply(frame, text=True)
 
