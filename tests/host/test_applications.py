@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from tests.host.hosted import COMPONENTS
 from tests.processes import run_python
 
 from uoarm.testing import patience
@@ -64,3 +65,32 @@ def test_a_host_works_dies_and_is_started_again(tmp_path: Path, how: str) -> Non
     called, cause = done.stdout.splitlines()
     assert called == "0 7"
     assert ("ignores SIGCHLD" in cause) == (how == "ignores"), cause
+
+
+FIRST = """
+import atexit, sys
+from uoarm import RobotManager
+from uoarm._host.transport import liveness
+
+liveness._NEWS_SECONDS = float(sys.argv[1])  # for which nothing is to wait
+robot = RobotManager.from_file("robot.yaml")
+
+def close():
+    robot.close()
+    print("closed")
+
+atexit.register(close)
+connection = robot.request("forever", timeout=float(sys.argv[1]))
+"""
+
+
+def test_what_an_application_closes_at_its_exit_after_hosts_have_ended_waits_for_nothing(
+    tmp_path: Path,
+) -> None:
+    text = "{components: [{name: forever, bridge: far, output: {endpoint: ['parts:forever']}}]}"
+    (tmp_path / "parts.py").write_text(COMPONENTS)
+    robot = ROBOT.partition("functions:")[0] + f"functions:\n  forever: {text}\n"
+    (tmp_path / "robot.yaml").write_text(robot.replace("PATIENCE", str(patience())))
+    (tmp_path / "program.py").write_text(FIRST)
+    done = run_python("program.py", str(patience()), cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "closed\n", "")

@@ -150,6 +150,7 @@ class MachineConnection:
             if self._heartbeat is not None:
                 self._heartbeat.join(_JOIN_SECONDS)
             self.transport.close()
+            self._liveness.ended()
             self._registry.let_go(self)
 
     def _seen(self, present: bool) -> None:  # noqa: FBT001 - a callback

@@ -434,6 +434,7 @@ class ProcessConnection:
                 if self._transport is not None:
                     self._transport.close()
                     self.counters.close()
+                self._liveness.ended()
 
     def _end_with_python(self) -> None:
         """End a host that was not closed before the interpreter ends."""

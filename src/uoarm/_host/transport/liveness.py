@@ -76,6 +76,11 @@ class LivenessMonitor:
         with self._news:
             # Under the lock of `die`: a death is noted before this, or not at all after it.
             self._ending = True
+            self._news.notify_all()
+
+    def ended(self) -> None:
+        """Note that the host was closed: nothing is asked of it any more, nor waited for."""
+        self.dead = self.dead or "it was closed"
 
     def await_token(self, deadline: float) -> None:
         """Return when the host has shown its token, which comes after all that it declares.
@@ -120,8 +125,8 @@ class LivenessMonitor:
         try:
             return transport.ask(keys.ASK, {"op": operation, **values}, timeout=limit)
         except LinkLostError as error:
-            with self._news:  # why it died is found out in another thread
-                self._news.wait_for(lambda: bool(self.dead), _NEWS_SECONDS)
+            with self._news:  # why it died is found out in another thread, unless it was to end
+                self._news.wait_for(lambda: bool(self.dead) or self._ending, _NEWS_SECONDS)
             self._refuse_dead(operation, error)
             raise
 
