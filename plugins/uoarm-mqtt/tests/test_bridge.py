@@ -570,6 +570,21 @@ class TestBroker:
             assert "Packet too large (reason code 0x95)" in until(events, Health.DEGRADED).cause
             until(events, Health.OK)
 
+    @pytest.mark.parametrize("qos", [1, 2])
+    def test_a_reason_that_the_standard_does_not_give_is_a_refusal(
+        self, tmp_path: Path, qos: int
+    ) -> None:
+        lines = "allow_anonymous true\nmessage_size_limit 100\n"
+        with running(tmp_path / "broker", lines) as broker, bridge_to(broker) as bridge:
+            events = health_events(bridge)
+            sink = speak(bridge, "limited", qos=qos)
+            sink.send("x" * 200)
+            assert "Packet too large (reason code 0x95)" in until(events, Health.DEGRADED).cause
+            assert sink.facts()["refused"] == 1
+            sink.send("x")
+            assert sink.drain(patience())
+            assert [event.channel for event in events] == [sink, sink], "the connection broke"
+
     def test_rights_and_passwords(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
     ) -> None:
@@ -593,10 +608,12 @@ class TestBroker:
                 collector, _ = listen(bridge, "ours/a")
                 speak(bridge, "ours/a").send(1)
                 assert collector.wait(1, patience()) == [1]
-                sink = speak(bridge, "theirs/a")
-                sink.send(1)
-                assert "0x87" in until(events, Health.DEGRADED).cause
-                assert sink.facts()["refused"] == 1
+                for qos in (1, 2):
+                    sink = speak(bridge, "theirs/a", qos=qos)
+                    sink.send(1)
+                    assert "0x87" in until(events, Health.DEGRADED).cause
+                    assert sink.facts()["refused"] == 1
+                    events.clear()
                 assert "sesame" not in f"{caplog.text}{vars(bridge)}"
 
     # paho leaves the socket of a failed handshake to the garbage collector.

@@ -5,9 +5,12 @@ from __future__ import annotations
 import ssl
 import threading
 from collections.abc import Callable
+from typing import Literal
 
 from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from uoarm.bridge import foreign, tls_fault
@@ -103,6 +106,32 @@ class BrokerClient(ThreadedClient):
         is_within = len(self._in_messages) <= MOST_IN_FLIGHT
         return ended if is_within else MQTTErrorCode.MQTT_ERR_PROTOCOL
 
+    def _handle_pubrec(self) -> MQTTErrorCode:
+        ended = self._refused()  # of QoS 2 it is said here, and paho takes each for a yes
+        return super()._handle_pubrec() if ended is None else ended
+
+    def _handle_pubackcomp(self, cmd: Literal["PUBACK", "PUBCOMP"]) -> MQTTErrorCode:
+        ended = self._refused()
+        return super()._handle_pubackcomp(cmd) if ended is None else ended
+
+    def _refused(self) -> MQTTErrorCode | None:
+        """Have a message end that the broker refuses; None where it does not.
+
+        paho breaks the connection for a reason that the standard does not give to the packet, such
+        as Mosquitto's 0x95 by `message_size_limit`, and sends the message again in the next.
+        """
+        packet = self._in_packet["packet"]
+        mid, value = int.from_bytes(packet[:2], "big"), packet[2] if packet[2:] else 0
+        if value < _UNSPECIFIED:
+            return None
+        reason = ReasonCode(PacketTypes.PUBACK)
+        reason.value = value
+        with self._out_message_mutex:
+            if mid not in self._out_messages:
+                return MQTTErrorCode.MQTT_ERR_SUCCESS
+            nothing = Properties(PacketTypes.PUBACK)  # type: ignore[no-untyped-call]
+            return self._do_on_publish(mid, reason, nothing)
+
     def forget_unfinished(self) -> None:
         """Let messages go that the broker does not know to be under way any more."""
         with self._in_message_mutex:
@@ -140,4 +169,5 @@ class BrokerClient(ThreadedClient):
 
 def reason_text(reason: ReasonCode) -> str:
     """Return a reason code of the broker, or of paho, in words and as a number."""
-    return f"{reason} (reason code 0x{reason.value:02X})"
+    name = next(iter(reason.names.get(reason.value, {"for a reason without a name": ()})))
+    return f"{name} (reason code 0x{reason.value:02X})"
