@@ -585,6 +585,28 @@ class TestBroker:
             assert sink.drain(patience())
             assert [event.channel for event in events] == [sink, sink], "the connection broke"
 
+    @pytest.mark.parametrize(
+        ("limit", "most", "beyond", "why"),
+        [
+            ("max_qos 1", {"qos": 1}, {"qos": 2}, r"QoS 1 at most \(qos\)"),
+            ("max_qos 0", {"qos": 0}, {"qos": 1}, r"QoS 0 at most \(qos\)"),
+            ("retain_available false", {}, {"retain": True}, r"nothing to be retained \(retain\)"),
+        ],
+    )
+    def test_what_a_broker_takes_of_no_client_does_not_open(
+        self, tmp_path: Path, limit: str, most: Any, beyond: Any, why: str
+    ) -> None:
+        lines = f"{limit}\nallow_anonymous true\n"
+        with running(tmp_path / "broker", lines) as broker, bridge_to(broker) as bridge:
+            events = health_events(bridge)
+            with pytest.raises(BridgeError, match=f"the broker at .* takes {why}") as caught:
+                speak(bridge, "limited", **beyond)
+            assert caught.value.reason is FailureReason.REFUSED
+            sink = speak(bridge, "limited", **most)
+            sink.send(1)
+            assert sink.drain(patience())
+            assert not events
+
     def test_rights_and_passwords(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
     ) -> None:

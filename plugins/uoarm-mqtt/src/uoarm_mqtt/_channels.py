@@ -153,7 +153,7 @@ class MqttSink(Sink):
         self._under_way = self._lost = self._refused = self._undelivered = 0
         health = ChannelHealth(topic, time.monotonic())
         self._health = ChannelMonitor(health, partial(report, self))
-        link.require_up()
+        link.require_taken(options.qos, retain=options.retain)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters; `undelivered`: taken by the broker while no client was subscribed."""

@@ -95,6 +95,8 @@ class BrokerConnection:
     _calls: int = 0  # of paho that are under way, which `close` waits for
     _fails: int = 0  # how often what was under way was answered that it failed
     _largest: int | None = None  # octets of a packet that the broker takes
+    _most_qos: int = 2  # that it takes
+    _may_retain: bool = True
     # Guards all that is mutable here: callers in any thread, against paho's.
     _changed: threading.Condition = field(factory=threading.Condition, init=False)
     _subscriptions: Subscriptions = field(factory=Subscriptions, init=False)
@@ -217,6 +219,22 @@ class BrokerConnection:
             return most
         return max(1, min(most, self._largest - len(topic.encode()) - _HEADER - _PROPERTIES))
 
+    def require_taken(self, qos: int, *, retain: bool) -> None:
+        """Return when the link is up, to a broker that takes such messages.
+
+        It would end the connection for another, and again when paho repeats it.
+
+        Raises:
+            BridgeError: the link is not up; or with REFUSED: it takes none.
+        """
+        self.require_up()
+        wrong = f"QoS {self._most_qos} at most (qos)" if qos > self._most_qos else ""
+        if retain and not self._may_retain:
+            wrong = "nothing to be retained (retain)"
+        if wrong:
+            text = f"bridge {self.name!r}: the broker at {self._where} takes {wrong}"
+            raise BridgeError(text, FailureReason.REFUSED)
+
     def publish(
         self,
         topic: str,
@@ -230,10 +248,10 @@ class BrokerConnection:
         """Publish a message; returns at once. `done` is called once, from any thread.
 
         Raises:
-            BridgeError: the link is down; `done` is not called.
+            BridgeError: the link is down, or the broker takes none such; `done` is not called.
             MessageError: it is larger than the broker takes.
         """
-        self.require_up()
+        self.require_taken(qos, retain=retain)
         said = properties("PUBLISH", **(more or {}))
         written: bytes = said.pack()  # type: ignore[no-untyped-call]
         size = len(topic.encode()) + len(payload) + len(written) + _HEADER
@@ -425,6 +443,8 @@ class BrokerConnection:
         if not flags.session_present:
             self._client.forget_unfinished()
         self._largest = getattr(more, "MaximumPacketSize", None)
+        self._most_qos = getattr(more, "MaximumQoS", 2)
+        self._may_retain = bool(getattr(more, "RetainAvailable", True))
         self._client.keep_within(getattr(more, "ReceiveMaximum", MOST_IN_FLIGHT))
         with self._changed:
             leaving = self._subscriptions.resume(is_same=flags.session_present)
