@@ -142,6 +142,7 @@ class EmergencyStop:
         # or sees that all is held.
         self._lock = threading.Lock()
         self._sinks: dict[Sink, str] = {}
+        self._most_listed = 0  # with more, closed ones are left out: each would cost a look at all
         self._calls: dict[_Call, str] = {}
         self._numbers = itertools.count(1)
         self._asked = 0
@@ -166,12 +167,15 @@ class EmergencyStop:
         if sink.endpoint.command is None:
             return
         with self._lock:
-            self._sinks = {
-                sink_name: of for sink_name, of in self._sinks.items() if not sink_name.closed
-            }
             self._sinks[sink] = function
+            if len(self._sinks) > self._most_listed:
+                self._sinks = dict(self._open_sinks())
+                self._most_listed = 2 * len(self._sinks)
         if self.is_held:
             sink.hold(_OPENING_SECONDS)
+
+    def _open_sinks(self) -> list[tuple[Sink, str]]:
+        return [(sink, function) for sink, function in self._sinks.items() if not sink.closed]
 
     def refuse(self, sink: Sink) -> None:
         """Raise CommandRefusedError for a command while all is held.
@@ -219,7 +223,7 @@ class EmergencyStop:
             since = self._since = self._clock() if self._since is None else self._since
             self._asked += 1
             listed: Iterable[tuple[_Moving, str]] = (
-                *self._sinks.items(),
+                *self._open_sinks(),
                 *self._calls.items(),
                 *((bridge, "") for bridge in self._elsewhere()),
             )
@@ -295,7 +299,7 @@ class EmergencyStop:
             overtaken = self._asked != asked
             if not overtaken:
                 self._since = None
-            sinks = dict(self._sinks)
+            sinks = dict(self._open_sinks())
         unsettled = self._keep()(timeout)  # a stop may have written it since, or be writing it
         if unsettled:
             _log.warning("%s", unsettled)

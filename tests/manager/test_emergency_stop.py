@@ -12,10 +12,19 @@ from pathlib import Path
 import pytest
 
 from uoarm import AsyncRobotManager, RobotManager
-from uoarm.bridge import Description, Registry, Sink
+from uoarm._safety import EmergencyStop
+from uoarm.bridge import Channel, Description, Registry, Sink
 from uoarm.config import loads
 from uoarm.errors import BridgeError, CommandRefusedError
-from uoarm.model import Endpoint, Message, MessageStructure, to_json
+from uoarm.model import (
+    CommandPolicy,
+    Endpoint,
+    Message,
+    MessageStructure,
+    Role,
+    StopMessage,
+    to_json,
+)
 from uoarm.testing import Background, MemoryBridge, patience, wait
 
 ROBOT = """
@@ -220,6 +229,34 @@ async def test_the_twin_for_event_loops_stops_where_the_system_gives_no_thread(
         patch.setattr(threading.Thread, "start", refuse)
         assert (await asynchronous.stop_all(timeout=patience())).stopped
     assert motors.taken == {"left": [5, 0]}
+
+
+@pytest.mark.parametrize("count", [10, 100, 1000])
+def test_what_opens_costs_no_look_at_all_that_is_open(
+    monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    stop, looks = EmergencyStop(lambda: 0.0), list[Sink]()
+    policy = CommandPolicy(1.0, StopMessage(0))
+    endpoint = Endpoint("motors", "left", Role.INPUT, ("left",), command=policy)
+    sinks = [Sink(endpoint, lambda _: None, lambda: None) for _ in range(count)]
+    closed = vars(Channel)["closed"].fget
+
+    def look(sink: Sink) -> bool:
+        looks.append(sink)
+        return bool(closed(sink))
+
+    monkeypatch.setattr(Sink, "closed", property(look))
+    for sink in sinks:
+        stop.enter(sink, "left")
+    assert len(looks) <= 4 * count
+    assert len(stop.stop(patience()).inputs) == count
+    for sink in sinks[1:]:
+        sink.close()
+    assert len(stop.stop(patience()).inputs) == 1
+    for _ in range(count + 1):
+        stop.enter(sinks[0], "left")
+        stop.enter(Sink(endpoint, lambda _: None, lambda: None), "left")
+    assert not set(sinks[1:]) & set(vars(stop)["_sinks"])
 
 
 class TestStopFile:
