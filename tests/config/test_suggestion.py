@@ -8,6 +8,7 @@ import pytest
 
 from uoarm import RobotManager
 from uoarm.config import loads, suggest
+from uoarm.config._suggestion import new_name
 from uoarm.model import (
     BridgeFindings,
     Component,
@@ -112,3 +113,23 @@ def test_a_subscriber_of_a_topic_is_not_fed_by_its_publisher() -> None:
     assert "from:" not in alone
     both = suggest(robot, [BridgeFindings("net", "bus", (here, there, ear))])
     assert "{from: there, " in both
+
+
+class _Names(dict[str, int]):
+    """Counts how often it is asked for a name."""
+
+    asked = 0
+
+    def __contains__(self, name: object) -> bool:
+        self.asked += 1
+        return super().__contains__(name)
+
+
+@pytest.mark.parametrize("count", [10, 100, 1000])
+def test_many_components_whose_names_are_written_alike_are_numbered_in_one_go(count: int) -> None:
+    taken = _Names({"component_3": 1})
+    names = [new_name(chr(0x3042 + number), taken) for number in range(count)]
+    assert names[:4] == ["component", "component_2", "component_4", "component_5"]
+    assert len(set(names)) == count
+    assert taken.asked <= 3 * count
+    assert new_name("component_2", taken) == "component_2_2"

@@ -119,7 +119,7 @@ def _proposals(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_Pr
     What it names is not offered in another role: a function that is called as a service could be
     a consumer, too, and what publishes on a topic may subscribe to it.
     """
-    taken = {*robot.functions, *(component.name for component in robot.components())}
+    taken = _names(robot)
     for finding in findings:
         for found in finding.components:
             named = {port.endpoint.address for port in found.ports if port.used_by}
@@ -132,14 +132,26 @@ def _proposals(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_Pr
                 yield _Proposal(name, finding.bridge, found, [service])
 
 
-def new_name(wanted: str, taken: set[str]) -> str:
-    """Return a name that the configuration takes and nothing has yet, and take it."""
+def _names(robot: Robot) -> dict[str, int]:
+    names = (*robot.functions, *(component.name for component in robot.components()))
+    return dict.fromkeys(names, 1)
+
+
+def new_name(wanted: str, taken: dict[str, int]) -> str:
+    """Return a name that the configuration takes and nothing has yet, and take it.
+
+    Args:
+        wanted: what it is made of.
+        taken: the number of the last that was made of each name.
+    """
     plain = re.sub(r"[^A-Za-z0-9_]+", "_", wanted).strip("_") or "component"
     plain = plain if plain[0].isalpha() else f"c_{plain}"
-    name, number = plain, 2
+    name, number = plain, taken.get(plain, 1)
     while name in taken:
-        name, number = f"{plain}_{number}", number + 1
-    taken.add(name)
+        number += 1
+        name = f"{plain}_{number}"
+    taken[plain] = number
+    taken[name] = 1
     return name
 
 
@@ -241,7 +253,7 @@ def _fits(producer: MessageStructure, consumer: MessageStructure) -> bool:
 
 
 def _port(port: FoundPort) -> str:
-    return new_name(port.endpoint.port, set())
+    return new_name(port.endpoint.port, {})
 
 
 def _address(port: FoundPort) -> str:
@@ -278,7 +290,7 @@ def add_functions(
         unfed: patterns of inputs that may stay without a feed.
     """
     known = {function.needs for function in robot.functions.values() if function.needs is not None}
-    taken = {*robot.functions, *(component.name for component in robot.components())}
+    taken = _names(robot)
     more: dict[str, Function] = {}
     for finding in findings:
         for found in finding.components if finding.bridge in robot.bridges else ():
