@@ -156,6 +156,7 @@ def test_what_is_long_is_summarised_with_a_link(agents: Agents) -> None:
     assert (values["length"], values["least"], values["greatest"]) == (100_000, 0.0, 99_999.0)
     assert len(text_of(result)) < 2_000
     link = result.content[1]
+    assert agents.call("goal_status", {"handle": facts["handle"]}).content[1] == link
     read = agents.run(agents.client().read_resource(link.uri))
     assert len(json.loads(read.contents[0].text)["values"]) == 100_000
     with pytest.raises(MCPError):

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from attrs import define, evolve, field
-from mcp_types import CallToolResult
+from mcp_types import CallToolResult, ResourceLink
 
 from uoarm.errors import MessageError, UoarmError, UsageError
 from uoarm.model import FieldLimit, Message, MessageStructure, Plan, message_octets
@@ -116,6 +116,11 @@ class AgentGoals:
     def knows(self, handle: str) -> bool:
         """Say whether there is one."""
         return handle in self._goals
+
+    def links(self, handle: str) -> tuple[ResourceLink, ...]:
+        """Return the links to what the result of a goal leaves out, where there is one."""
+        goal = self._goals.get(handle)
+        return () if goal is None or goal.result is None else goal.result.links
 
     def check_room(self) -> None:
         """Refuse more than an agent may have under way; raises LimitError."""
@@ -400,9 +405,8 @@ class AgentActions:
         facts = goal.facts()
         if not goal.done.is_set():
             facts["next"] = f"it goes on: wait, goal_status or cancel with handle {goal.handle}"
-        links = () if goal.result is None else goal.result.links
         failed = goal.done.is_set() and goal.state != "succeeded"
-        return succeeded(facts, links, is_error=failed)
+        return succeeded(facts, self._goals.links(goal.handle), is_error=failed)
 
     def reason(self, made: FunctionTool) -> str:
         """Return why it needs an approval now, whatever the catalogue says."""

@@ -171,7 +171,8 @@ class Agent:
         try:
             with self.working(is_refused=name not in _ALWAYS):
                 if name in self._robot_tools:
-                    return succeeded(await self._robot_tools.call(name, arguments))
+                    facts = await self._robot_tools.call(name, arguments)
+                    return succeeded(facts, self._goals.links(arguments.get("handle", "")))
                 made = catalogue.tools[name]
                 self.client.require(made.operation, made.function)
                 if made.kind is ToolKind.READ:
