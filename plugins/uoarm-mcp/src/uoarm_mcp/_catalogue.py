@@ -74,6 +74,7 @@ class FunctionTool:
         outputs: those that it can read.
         needs: why it needs an approval; empty: it needs none.
         tool: as it is listed.
+        is_headed: whether a client repeats arguments of it in headers.
     """
 
     function: str
@@ -82,6 +83,7 @@ class FunctionTool:
     outputs: tuple[str, ...]
     needs: str
     tool: Tool
+    is_headed: bool = False
 
     @property
     def operation(self) -> Operation:
@@ -97,6 +99,7 @@ class Catalogue:
         tools: of functions, by name.
         own: tools that every robot has.
         resources: streams, by address.
+        outputs: of each of these what is read, FUNCTION.OUTPUT.
         headed: names of the tools of which a client repeats arguments in headers.
         left_out: what has no tool, and why.
     """
@@ -104,8 +107,19 @@ class Catalogue:
     tools: Mapping[str, FunctionTool] = field(factory=dict)
     own: tuple[Tool, ...] = ()
     resources: Mapping[str, Resource] = field(factory=dict)
+    outputs: Mapping[str, str] = field(factory=dict)
     left_out: Mapping[str, str] = field(factory=dict)
     headed: frozenset[str] = frozenset()
+
+
+@frozen(eq=False)
+class _FunctionListing:
+    """What one function has with a plan, whatever the role."""
+
+    plan: Plan
+    tools: tuple[FunctionTool, ...]
+    resources: Mapping[str, Resource]
+    outputs: Mapping[str, str]
 
 
 def uri_of(function: str, output: str) -> str:
@@ -129,12 +143,16 @@ class CatalogueMaker:
         # What did not come within the limit, as behind a bridge that hangs: it is not waited for
         # again, so that the calls of other functions have it once.
         self._late: set[str] = set()
+        # Made anew with another plan only: while one function has none, every call makes a
+        # catalogue.
+        self._listings: dict[str, _FunctionListing] = {}
         self._made: dict[AccessRole, Catalogue] = {}
         self._making: dict[AccessRole, asyncio.Task[Catalogue]] = {}
 
-    def forget(self) -> None:
-        """Look again at what could not be had: something of the robot has changed."""
+    def forget(self, function: str = "") -> None:
+        """Look again at what could not be had, and at a function: the robot has changed."""
         self._made.clear()
+        self._searches.pop(function, None)  # another component may provide it now
 
     def known(self, role: AccessRole) -> Catalogue | None:
         """Return the catalogue of a role, where it is made; without waiting."""
@@ -147,6 +165,7 @@ class CatalogueMaker:
             self._robot = robot
             self._searches.clear()
             self._late.clear()
+            self._listings.clear()
             self._made.clear()
         made = self._made.get(role)
         if made is not None:
@@ -163,14 +182,15 @@ class CatalogueMaker:
         searches = await self._search(visible)
         tools: dict[str, FunctionTool] = {}
         resources: dict[str, Resource] = {}
+        outputs: dict[str, str] = {}
         left_out: dict[str, str] = {}
         for name in visible:
-            function = robot.functions[name]
             plan = _result(searches[name])
             if isinstance(plan, str):
                 left_out[name] = view.text(plan, name)
                 continue
-            for made in self._tools(function, plan):
+            listing = self._listing(robot.functions[name], plan)
+            for made in listing.tools:
                 if not role.allows(made.operation, name):
                     left_out[made.tool.name] = f"the role may not {made.operation.value} {name}"
                 elif made.tool.name in tools or made.tool.name in OWN:
@@ -178,11 +198,10 @@ class CatalogueMaker:
                 else:
                     tools[made.tool.name] = made
             if role.allows(Operation.REQUEST, name):
-                resources |= self._resources(function, plan)
-        headed = frozenset(
-            name for name, made in tools.items() if has_headers(made.tool.input_schema)
-        )
-        catalogue = Catalogue(tools, _own_tools(role), resources, left_out, headed)
+                resources |= listing.resources
+                outputs |= listing.outputs
+        headed = frozenset(name for name, made in tools.items() if made.is_headed)
+        catalogue = Catalogue(tools, _own_tools(role), resources, outputs, left_out, headed)
         if self._robot is robot and not left_out.keys() & set(visible):
             self._made[role] = catalogue
         return catalogue
@@ -209,6 +228,14 @@ class CatalogueMaker:
         if is_found and name in self._late and self._searches.get(name) is search:
             self._late.discard(name)
             self._found()
+
+    def _listing(self, function: Function, plan: Plan) -> _FunctionListing:
+        known = self._listings.get(function.name)
+        if known is None or known.plan is not plan:
+            resources, outputs = self._resources(function, plan)
+            known = _FunctionListing(plan, tuple(self._tools(function, plan)), resources, outputs)
+            self._listings[function.name] = known
+        return known
 
     def _tools(self, function: Function, plan: Plan) -> Iterator[FunctionTool]:
         component, structures = plan.provider.component, plan.provider.structures
@@ -256,14 +283,15 @@ class CatalogueMaker:
             idempotent_hint=False,
             open_world_hint=False,
         )
+        schema = tool_arguments(taken).schema
         tool = Tool(
             name=name,
             description=_described(function, what, needs),
-            input_schema=tool_arguments(taken).schema,
+            input_schema=schema,
             output_schema=output_schema(given),
             annotations=hints,
         )
-        return FunctionTool(function.name, kind, port, (), needs, tool)
+        return FunctionTool(function.name, kind, port, (), needs, tool, has_headers(schema))
 
     def _reading(
         self, function: Function, outputs: tuple[str, ...], structure: MessageStructure
@@ -283,21 +311,24 @@ class CatalogueMaker:
         )
         return FunctionTool(function.name, ToolKind.READ, outputs[0], outputs, needs, tool)
 
-    def _resources(self, function: Function, plan: Plan) -> dict[str, Resource]:
+    def _resources(
+        self, function: Function, plan: Plan
+    ) -> tuple[dict[str, Resource], dict[str, str]]:
+        made: dict[str, Resource] = {}
+        outputs: dict[str, str] = {}
         if self._needs(Operation.REQUEST, function.name):
-            return {}
-        outputs = [output.name for output in plan.provider.component.outputs]
-        made = {}
-        for output in outputs:
-            port = output if len(outputs) > 1 else ""
-            uri = uri_of(function.name, port)
+            return made, outputs
+        names = [output.name for output in plan.provider.component.outputs]
+        for name in names:
+            uri = uri_of(function.name, name if len(names) > 1 else "")
+            outputs[uri] = f"{function.name}.{name}"
             made[uri] = Resource(
                 uri=uri,
                 name=uri.removeprefix(STREAM),
                 description=_described(function, "The latest message of", ""),
                 mime_type="application/json",
             )
-        return made
+        return made, outputs
 
     def _needs(self, operation: Operation, function: str) -> str:
         return self._backend.approvals.supervision.reason(operation, function)

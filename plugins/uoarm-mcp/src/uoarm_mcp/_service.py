@@ -251,13 +251,11 @@ class Agent:
         Raises:
             UnknownError: the role has no such stream.
         """
-        function, output = await self.stream_of(uri)
-        collector, end = await self.streams.read(
-            f"{function}.{output}", 1, _READ_SECONDS, latest=True
-        )
+        name = await self.stream_of(uri)
+        collector, end = await self.streams.read(name, 1, _READ_SECONDS, latest=True)
         if not collector.messages:
             raise UsageError(
-                f"no message of {function} came in {_READ_SECONDS:g} s{end and f'; {end}'}"
+                f"no message of {name} came in {_READ_SECONDS:g} s{end and f'; {end}'}"
             )
         message = collector.messages[0]
         if isinstance(message, Mapping) and is_picture(message):
@@ -265,17 +263,14 @@ class Agent:
         text = await self._backend.in_worker(lambda: TEXT_FORM.write(message))
         return "application/json", text
 
-    async def stream_of(self, uri: str) -> tuple[str, str]:
-        """Return function and output of a stream's address; raises UnknownError."""
+    async def stream_of(self, uri: str) -> str:
+        """Return what a stream's address stands for, FUNCTION.OUTPUT; raises UnknownError."""
         catalogue = await self.catalogue()
         if uri not in catalogue.resources:
             raise UnknownError(f"there is no resource {uri!r:.200}")
-        function, _, output = uri.removeprefix(STREAM).partition("/")
-        self.client.require(Operation.REQUEST, function)
-        if not output:
-            made = catalogue.tools.get(f"read_{function}")
-            output = made.outputs[0] if made is not None else "default"
-        return function, output
+        name = catalogue.outputs[uri]
+        self.client.require(Operation.REQUEST, name.partition(".")[0])
+        return name
 
 
 class AgentService:
@@ -516,7 +511,7 @@ class AgentService:
         """Have a notice sent after each message, several a second at most."""
         if not uri.startswith(STREAM):
             raise UnknownError(f"there is no resource {uri!r:.200}")
-        function, output = await agent.stream_of(uri)
+        name = await agent.stream_of(uri)
         loop = asyncio.get_running_loop()
         last, timer = float("-inf"), None
         sending, is_due = None, False
@@ -542,7 +537,7 @@ class AgentService:
                 pause = max(0.0, last + _NOTICE_SECONDS - time.monotonic())
                 timer = loop.call_later(pause, fire)
 
-        stop = await agent.streams.watch(f"{function}.{output}", notify)
+        stop = await agent.streams.watch(name, notify)
 
         def end() -> None:
             nonlocal is_due
@@ -557,7 +552,7 @@ class AgentService:
 
     def _changed(self, notice: ChangeNotice) -> None:
         if not notice.event.subject.startswith("connection "):
-            self._catalogues.forget()
+            self._catalogues.forget(notice.event.function)
             self._publish()
 
     def _publish(self) -> None:
