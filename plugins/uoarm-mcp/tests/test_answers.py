@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import math
 import threading
@@ -15,13 +16,20 @@ import orjson
 import pytest
 from agents import Agents
 from jsonschema import Draft202012Validator
-from mcp_types import CallToolResult, ResourceLink
+from mcp_types import CallToolResult
 from uoarm_mcp._schemas import output_schema, read_output
-from uoarm_mcp._values import KeptValues, is_picture, picture_of, succeeded
+from uoarm_mcp._values import (
+    KeptValues,
+    _Summary,
+    is_picture,
+    picture_of,
+    render,
+    succeeded,
+)
 
 from uoarm.errors import UsageError
 from uoarm.model import MessageStructure
-from uoarm.server.front_end import TEXT_FORM
+from uoarm.server.front_end import TEXT_FORM, Account, Charge, MemoryUse
 from uoarm.testing import patience
 
 NUMBER = {"type": "number"}
@@ -81,7 +89,7 @@ def test_the_client_takes_them(agents: Agents) -> None:
 
 
 def test_numbers_of_a_summary_are_as_in_the_message() -> None:
-    rendered = KeptValues(Mock()).render({"n": math.nan, "all": [2**70, *[1] * 20_000]})
+    rendered = render({"n": math.nan, "all": [2**70, *[1] * 20_000]})
     assert rendered.value["n"] == "NaN"
     assert rendered.value["all"]["first"] == [str(2**70), 1, 1]
     assert succeeded({"summary": rendered.value}).structured_content
@@ -89,10 +97,10 @@ def test_numbers_of_a_summary_are_as_in_the_message() -> None:
 
 def test_an_array_is_summarised_as_the_list_of_its_numbers() -> None:
     for numbers in ([math.nan, math.inf, 1.5, -2.0, *[0.25] * 20_000], [math.nan] * 20_000):
-        array = KeptValues(Mock()).render({"all": np.array(numbers)}).value["all"]
+        array = render({"all": np.array(numbers)}).value["all"]
         assert array.pop("shape") == [len(numbers)]
-        assert array == KeptValues(Mock()).render({"all": numbers}).value["all"]
-    huge = KeptValues(Mock()).render({"all": np.full(20_000, 1e308)}).value["all"]
+        assert array == render({"all": numbers}).value["all"]
+    huge = render({"all": np.full(20_000, 1e308)}).value["all"]
     assert (huge["least"], "mean" in huge) == (1e308, False)
 
 
@@ -100,13 +108,46 @@ def test_of_a_map_no_list_is_made_for_its_summary() -> None:
     cells = np.zeros((2_000, 1_000), np.int8)
     tracemalloc.start()
     try:
-        links: list[ResourceLink] = []
-        summary = KeptValues(Mock())._summary({"data": cells}, links, 2)
+        summary = _Summary().of({"data": cells}, 2)
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
     assert (summary["data"]["shape"], summary["data"]["greatest"]) == ([2_000, 1_000], 0)
     assert most < 4 * cells.nbytes
+
+
+def test_of_a_message_with_octets_the_rest_can_be_read_too() -> None:
+    message = {"data": b"ab", "values": [1.5] * 20_000}
+    rendered = render(message)
+    kinds = {
+        link.mime_type: left for link, left in zip(rendered.links, rendered.left_out, strict=True)
+    }
+    assert kinds["application/octet-stream"] == b"ab"
+    assert len(orjson.loads(kinds["application/json"])["values"]) == 20_000
+    assert [link.mime_type for link in render({"data": bytes(2_000)}).links] == [
+        "application/octet-stream"
+    ]
+
+
+def test_a_link_is_to_something_however_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uoarm_mcp._values._MOST_OCTETS", 10_000)
+    kept = KeptValues(Mock())
+    first, second = (kept.keep(render({"data": bytes(20_000)})) for _ in range(2))
+    assert kept.find(second.links[0].uri) is not None
+    assert kept.find(first.links[0].uri) is None
+
+
+def test_what_is_kept_is_counted_in_the_loop(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    charge = Account.charge
+
+    def charged(account: Account, kind: MemoryUse, octets: int) -> Charge:
+        asyncio.get_running_loop()  # raises in another thread
+        return charge(account, kind, octets)
+
+    monkeypatch.setattr(Account, "charge", charged)
+    assert "summary" in agents.facts("many", {"count": 100_000})
 
 
 @pytest.mark.parametrize("shape", [(640 * 480 * 3,), (480, 640, 3)])
@@ -115,7 +156,7 @@ def test_pixels_in_an_array_are_a_picture(shape: tuple[int, ...]) -> None:
     message = {"width": 640, "height": 480, "data": np.zeros(shape, np.uint8)}
     assert is_picture(message)
     assert picture_of(message).mime_type == "image/jpeg"
-    data = KeptValues(Mock()).render(message).value["data"]
+    data = render(message).value["data"]
     assert ("octets" in data) is (len(shape) == 1), "a row of uint8 is octets in every form"
 
 

@@ -38,7 +38,7 @@ from uoarm.server.front_end import (
 from uoarm_mcp._catalogue import FunctionTool, ToolKind
 from uoarm_mcp._schemas import APPROVAL, tool_arguments
 from uoarm_mcp._streams import AgentStreams
-from uoarm_mcp._values import KeptValues, RenderedMessage, failure_text, succeeded
+from uoarm_mcp._values import KeptValues, RenderedMessage, failure_text, render, succeeded
 
 _MOST_RUNNING = 32
 _MOST_KEPT = 128
@@ -321,9 +321,10 @@ class AgentActions:
             if goal.is_cancelled:
                 cancel()
 
-        return await self._backend.call_planned(
-            wanted, revision, message, read, timeout, began, self._kept.render
+        rendered = await self._backend.call_planned(
+            wanted, revision, message, read, timeout, began, render
         )
+        return self._kept.keep(rendered)
 
     async def _send(
         self, made: FunctionTool, request: ApprovalRequest, message: Message, goal: AgentGoal
@@ -389,7 +390,7 @@ class AgentActions:
             if not sent.ended:
                 runner.abandon(sent)
             actions.leave(made.function, sent)
-        rendered = await self._backend.in_worker(lambda: self._kept.render(values))
+        rendered = self._kept.keep(await self._backend.in_worker(partial(render, values)))
         goal.state = state
         return rendered
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from attrs import evolve
@@ -34,7 +34,7 @@ from uoarm_mcp._actions import AgentActions, AgentGoals, check_arguments, within
 from uoarm_mcp._catalogue import Catalogue, CatalogueMaker, FunctionTool, ToolKind
 from uoarm_mcp._schemas import OWN_INPUTS, check_schema
 from uoarm_mcp._streams import AgentStreams
-from uoarm_mcp._values import KeptValues
+from uoarm_mcp._values import KeptValues, render
 
 _CANCEL_SECONDS = 5.0
 _WAIT_SECONDS = 20.0
@@ -308,7 +308,7 @@ class RobotTools:
             if goal.done.is_set() or goal.feedback is None:
                 return goal.facts()
             last = goal.feedback
-            shown = await self._backend.in_worker(lambda: self._kept.render(last))
+            shown = self._kept.keep(await self._backend.in_worker(partial(render, last)))
             return {**goal.facts(), "feedback": shown.value}
         approval = self._approvals.find(handle, self._client.principal)
         if approval is None:

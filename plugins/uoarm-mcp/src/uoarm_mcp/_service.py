@@ -75,6 +75,7 @@ from uoarm_mcp._values import (
     failure_text,
     is_picture,
     picture_of,
+    render,
     succeeded,
 )
 
@@ -231,9 +232,8 @@ class Agent:
                 for message in messages[:4]
                 if is_picture(message)
             ]
-        rendered = await self._backend.in_worker(
-            lambda: [self.kept.render(message) for message in messages]
-        )
+        made_of = await self._backend.in_worker(lambda: [render(message) for message in messages])
+        rendered = [self.kept.keep(item) for item in made_of]
         facts = {
             "messages": [item.value for item in rendered if not item.is_summary],
             "lost": collector.lost,

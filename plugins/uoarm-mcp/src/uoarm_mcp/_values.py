@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 import orjson
-from attrs import frozen
+from attrs import evolve, frozen
 from mcp_types import CallToolResult, ImageContent, ResourceLink, TextContent
 
 from uoarm.errors import PluginError, UsageError
@@ -48,15 +48,19 @@ class RenderedMessage:
         value: as JSON; where `is_summary`, not the message itself.
         is_summary: whether it was too long.
         links: to what was left out.
+        left_out: the octets of each link, until `KeptValues.keep` has them.
     """
 
     value: Any
     is_summary: bool = False
     links: tuple[ResourceLink, ...] = ()
+    left_out: tuple[bytes, ...] = ()
 
 
 class KeptValues:
     """What was too long to be shown, for a while: the newest, bounded in number and octets.
+
+    In the server's loop, as the account is.
 
     Args:
         account: charged for it.
@@ -75,67 +79,99 @@ class KeptValues:
         """Return what is kept: address, kind and octets."""
         return [(uri, kind, len(octets)) for uri, (kind, octets, _) in self._kept.items()]
 
-    def keep(self, kind: str, octets: bytes) -> ResourceLink:
-        """Keep something, in the place of the oldest where there is no room; return its link."""
-        charge = self._account.charge(MemoryUse.ANSWERS, len(octets))
-        uri = f"{KEPT}{secrets.token_hex(8)}"
-        self._kept[uri] = kind, octets, charge
-        while len(self._kept) > _MOST_KEPT or self._octets() > _MOST_OCTETS:
-            _, (_, _, oldest) = self._kept.popitem(last=False)
-            oldest.release()
-        return ResourceLink(uri=uri, name=uri.removeprefix(KEPT), mime_type=kind, size=len(octets))
-
-    def render(self, message: Message) -> RenderedMessage:
-        """Return a message as an agent gets it.
+    def keep(self, rendered: RenderedMessage) -> RenderedMessage:
+        """Keep what a message leaves out, in the place of the oldest where there is no room.
 
         Raises:
-            MessageError: it has no form as text.
             LimitError: the client holds too much memory.
         """
-        octets: list[bytes] = []
-        _find_octets(message, octets, _DEPTH)
-        if sum(map(len, octets)) <= _SHORT_OCTETS:
-            text = TEXT_FORM.write(message)
-            if len(text) <= _SHORT:
-                return RenderedMessage(orjson.loads(text))
-        links: list[ResourceLink] = []
-        value = self._summary(message, links, _DEPTH)
-        if not links:
-            links.append(self.keep("application/json", TEXT_FORM.write(message)))
-        return RenderedMessage(value, True, tuple(links))
+        for link, octets in zip(rendered.links, rendered.left_out, strict=True):
+            charge = self._account.charge(MemoryUse.ANSWERS, len(octets))
+            self._kept[link.uri] = link.mime_type or "", octets, charge
+            while len(self._kept) > 1 and (
+                len(self._kept) > _MOST_KEPT or self._octets() > _MOST_OCTETS
+            ):
+                _, (_, _, oldest) = self._kept.popitem(last=False)
+                oldest.release()
+        return evolve(rendered, left_out=())
 
     def _octets(self) -> int:
         return sum(len(octets) for _, octets, _ in self._kept.values())
 
-    def _summary(self, value: Message, links: list[ResourceLink], depth: int) -> Any:
+
+def render(message: Message) -> RenderedMessage:
+    """Return a message as an agent gets it; takes its time, for any thread.
+
+    Raises:
+        MessageError: it has no form as text.
+    """
+    octets: list[bytes] = []
+    _find_octets(message, octets, _DEPTH)
+    if sum(map(len, octets)) <= _SHORT_OCTETS:
+        text = TEXT_FORM.write(message)
+        if len(text) <= _SHORT:
+            return RenderedMessage(orjson.loads(text))
+    summary = _Summary()
+    value = summary.of(message, _DEPTH)
+    if summary.is_cut or not summary.links:
+        summary.leave_out("application/json", TEXT_FORM.write(message))
+    return RenderedMessage(value, True, tuple(summary.links), tuple(summary.left_out))
+
+
+class _Summary:
+    """What is shown of a message that is too long.
+
+    Attributes:
+        links: to octets, which are left out.
+        left_out: these.
+        is_cut: whether something else is left out.
+    """
+
+    def __init__(self) -> None:
+        self.links: list[ResourceLink] = []
+        self.left_out: list[bytes] = []
+        self.is_cut = False
+
+    def leave_out(self, kind: str, octets: bytes) -> str:
+        """Have a link in the place of octets; return its address."""
+        name = secrets.token_hex(8)
+        uri = f"{KEPT}{name}"
+        self.links.append(ResourceLink(uri=uri, name=name, mime_type=kind, size=len(octets)))
+        self.left_out.append(octets)
+        return uri
+
+    def of(self, value: Message, depth: int) -> Any:
+        """Return what is shown of a value."""
         if _is_octets(value):
-            link = self.keep("application/octet-stream", bytes(value))
-            links.append(link)
-            return {"octets": len(value), "link": link.uri}
+            link = self.leave_out("application/octet-stream", bytes(value))
+            return {"octets": len(value), "link": link}
         if isinstance(value, Mapping):
             if depth == 0:
+                self.is_cut = True
                 return {"names": len(value)}
+            self.is_cut |= len(value) > _MOST_KEPT
             return {
-                str(name): self._summary(part, links, depth - 1)
+                str(name): self.of(part, depth - 1)
                 for name, part in list(value.items())[:_MOST_KEPT]
             }
         if isinstance(value, str):
-            return (
-                value
-                if len(value) <= _LONG_TEXT
-                else {"text": value[:_LONG_TEXT], "of": len(value)}
-            )
+            if len(value) <= _LONG_TEXT:
+                return value
+            self.is_cut = True
+            return {"text": value[:_LONG_TEXT], "of": len(value)}
         if isinstance(value, bool | int | float) or value is None:
             return _as_text(value)
-        return self._of_list(value, links, depth)
+        return self._of_list(value, depth)
 
-    def _of_list(self, value: Message, links: list[ResourceLink], depth: int) -> Any:
+    def _of_list(self, value: Message, depth: int) -> Any:
         shape = list(getattr(value, "shape", ()))
         if getattr(value, "size", 0) > _LONG_LIST and value.dtype.kind in "iuf":
+            self.is_cut = True
             return _of_array(value)
         values: Sequence[Any] = value if isinstance(value, list | tuple) else _flat(value)
         if len(values) <= _LONG_LIST and depth and not shape[1:]:
-            return [self._summary(part, links, depth - 1) for part in values]
+            return [self.of(part, depth - 1) for part in values]
+        self.is_cut = True
         summary: dict[str, Any] = {"length": len(values)}
         if shape:
             summary["shape"] = shape
@@ -149,8 +185,7 @@ class KeptValues:
                 with suppress(OverflowError):  # beyond what a float has room for
                     summary["mean"] = statistics.fmean(finite)
             return summary | {"first": _as_text(numbers[:_SHOWN])}
-        first = [self._summary(part, [], 1) for part in values[:_SHOWN]] if depth else []
-        return summary | {"first": first}
+        return summary | {"first": [self.of(part, 1) for part in values[:_SHOWN]] if depth else []}
 
 
 def _of_array(value: Any) -> dict[str, Any]:
