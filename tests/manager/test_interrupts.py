@@ -27,7 +27,7 @@ from uoarm.bridge import Discovered, HealthEvent, Source
 from uoarm.config import loads
 from uoarm.errors import FailureReason
 from uoarm.model import Deliver, Endpoint, Health, MessageStructure, OfferState
-from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.testing import Hang, MemoryBridge, patience, wait
 
 OFFERING = FACE + "offer: {two: {camera: {output: {endpoint: [seen]}}}}"
 
@@ -464,6 +464,18 @@ def test_a_signal_that_does_not_end_a_wait_is_noticed_all_the_same(
             assert unseen.was_noticed, wait_there
         assert not recording.wait(0)
     assert recording.wait()
+
+
+def test_a_wait_for_a_ring_is_left(
+    robot: RobotManager, number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hang = Hang()
+    with robot.record("face", path=tmp_path / "ring.mcap", ring=60.0) as recording:
+        monkeypatch.setattr(recording, "_write_ring", lambda *_: str(hang.wait()))
+        unseen = Unseen(number)
+        unseen.during(partial(recording.dump, timeout=10 * patience()))
+        assert unseen.was_noticed
+        hang.release()
 
 
 class Blind(MemoryBridge):

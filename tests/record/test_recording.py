@@ -216,6 +216,22 @@ def test_a_new_file_begins_and_each_is_whole(
     assert numbers == list(range(3000))
 
 
+def test_a_file_after_which_none_can_begin_is_counted_once(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    clicks, folder = bridge.emitter("clicks", COUNT), tmp_path / "stick"
+    folder.mkdir()
+    recording = make_robot().record(
+        "counter", path=folder / "run.mcap", split=20_000, compression="none", queue=BLOCK
+    )
+    folder.rename(tmp_path / "unplugged")
+    while not recording.ended:
+        clicks.emit({"n": 1})
+    status = recording.status()
+    assert (status.state, "cannot be made" in status.cause) == ("failed", True)
+    assert status.octets == (tmp_path / "unplugged" / "run.mcap").stat().st_size
+
+
 def test_a_file_that_is_there_stays(
     bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
 ) -> None:

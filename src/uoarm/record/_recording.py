@@ -10,7 +10,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -187,15 +186,17 @@ class Recording:
         if self._options.ring is None:
             raise UsageError("this recording writes everything: only one with a ring is dumped")
         written: Future[str] = Future()
+        done = threading.Event()
+        written.add_done_callback(lambda _: done.set())
         self._wanted.append((cause, written))
         self._arrivals.press()
         if self.ended and not written.done():
             raise UsageError("the recording has ended")
-        try:
-            return written.result(timeout)
-        except FutureTimeoutError as error:  # before 3.11 no built-in TimeoutError
+        if not wait_for(done, timeout):
             text = f"the ring is not written after {timeout:g} s: it will be, once there is time"
-            raise UsageError(text) from error
+            raise UsageError(text)
+        try:
+            return written.result()
         except OSError as error:
             raise UsageError(f"the ring cannot be written: {error}") from error
 
@@ -490,6 +491,8 @@ class Recording:
         losses = {f"dropped {reason}": str(count) for reason, count in dropped.items()}
         file.add_metadata("uoarm.counts", counts | losses)
         file.finish()
+        # Not that of now any more: the next may fail to begin, and its octets are counted once.
+        self._file = None
         self._octets_before += file.octets
 
     def _finish(self) -> None:
@@ -501,7 +504,6 @@ class Recording:
             event = self._own_event("ended", self._cause or "it was closed")
             self._write_event(file, self._clock(), event)
             self._end_file(file)
-            self._file = None
         self._state = "ended"
 
     def _fail(self, cause: str) -> None:
