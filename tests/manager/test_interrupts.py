@@ -470,8 +470,13 @@ def test_a_wait_for_a_ring_is_left(
     robot: RobotManager, number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hang = Hang()
+
+    def write(*_: object) -> str:
+        hang.wait()
+        return ""
+
     with robot.record("face", path=tmp_path / "ring.mcap", ring=60.0) as recording:
-        monkeypatch.setattr(recording, "_write_ring", lambda *_: str(hang.wait()))
+        monkeypatch.setattr(recording, "_write_ring", write)
         unseen = Unseen(number)
         unseen.during(partial(recording.dump, timeout=10 * patience()))
         assert unseen.was_noticed

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
+import sqlite3
 import threading
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +21,7 @@ from tests.record.conftest import COUNT, PICTURE
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ResolutionError
-from uoarm.model import Endpoint, MessageStructure, QueuePolicy, Role, StatusEvent
+from uoarm.model import Endpoint, Health, MessageStructure, QueuePolicy, Role, StatusEvent
 from uoarm.record import _bridge, _reading
 from uoarm.record._bridge import RecordingBridge
 from uoarm.record._checking import open_recording
@@ -90,6 +93,7 @@ def played(path: Path, topic: str, count: int, **options: object) -> list[Any]:
     ("rate", "sentence"),
     [
         (0, "expected more than 0 or fast, got 0"),
+        (1e308, "expected at most 1000000000 or fast, got 1e+308"),
         ("slow", 'expected a number or fast, got "slow"'),
     ],
 )
@@ -512,6 +516,40 @@ def test_no_length_in_a_file_is_believed(tmp_path: Path) -> None:
             continue
 
 
+def test_a_bag_whose_types_changed_is_read_by_the_first_definition(tmp_path: Path) -> None:
+    rosbags = pytest.importorskip("rosbags.rosbag1")
+    path = tmp_path / "changed.bag"
+    with rosbags.Writer(path) as writer:
+        for number, text in enumerate(("int32 a", "float32 a", "int32 a # of another publisher")):
+            md5 = hashlib.md5(text[: text.index(" a") + 2].encode()).hexdigest()
+            connection = writer.add_connection(
+                "/thing",
+                "own_msgs/msg/Thing",
+                msgdef=f"{text}\n",
+                md5sum=md5,
+                callerid=f"/{number}",
+            )
+            for n in range(2):
+                writer.write(connection, 1000 * number + n, bytes([number, 0, 0, n]))
+    recording = open_recording(path)
+    assert recording.notes == ["/thing has messages of two types or definitions: the first is read"]
+    read = recording.messages("/thing", 0, pytest.fail)
+    assert [message.time for message in read] == [0, 1, 2000, 2001]
+
+
+def test_a_bag_without_definitions_says_what_adds_them(tmp_path: Path) -> None:
+    rosbags = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    bag = tmp_path / "bag"
+    with rosbags.Writer(bag, version=9) as writer:
+        writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+    with sqlite3.connect(bag / "bag.db3") as database:
+        database.execute("DELETE FROM message_definitions")
+    with pytest.raises(BridgeError, match="wrote no definitions, as before Iron: `ros2 bag conv"):
+        open_recording(bag)
+
+
 def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
     rosbags = pytest.importorskip("rosbags.rosbag1")
     typesys = pytest.importorskip("rosbags.typesys")
@@ -563,6 +601,19 @@ def test_a_channel_that_a_cut_file_lost_names_the_cut(tmp_path: Path) -> None:
     path.write_bytes(MAGIC + b"\x06\xff")
     with pytest.raises(BridgeError, match=r"it has none; it ends within a record"):
         played(path, "/text", 1)
+
+
+def test_what_fails_in_playing_is_a_loss(tape: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = RecordingBridge("tape", PlaybackOptions.of({"file": str(tape)}))
+    reported: list[tuple[Health, str]] = []
+    monkeypatch.setattr(made, "report", lambda *given, **_: reported.append(given))
+    monkeypatch.setattr(made.playback, "begin", partial(divmod, 1, 0))
+    endpoint = Endpoint("tape", "run", Role.OUTPUT, ("/counter",))
+    with closing(made), closing(made.open_source(endpoint, MessageStructure(COUNT), pytest.fail)):
+        wait(lambda: bool(reported), "the loss is reported")
+    assert reported == [
+        (Health.LOST, f"{tape}: ZeroDivisionError: integer division or modulo by zero")
+    ]
 
 
 def test_a_part_for_which_there_is_no_thread_is_read_by_who_wants_it(

@@ -20,6 +20,7 @@ from uoarm.bridge import (
     ServiceStructures,
     Sink,
     Source,
+    text_of,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role, to_json
@@ -225,6 +226,8 @@ class _RecordedSource(Source):
             bridge.ended(self, Health.LOST, str(error))
         except OSError as error:
             bridge.ended(self, Health.LOST, f"{bridge._path} cannot be read on: {error}")  # noqa: SLF001
+        except Exception as error:  # noqa: BLE001 - whatever it is: consumers wait for no thread
+            bridge.ended(self, Health.LOST, f"{bridge._path}: {text_of(error)}")  # noqa: SLF001
         else:
             if not self._over.is_set():
                 bridge.ended(self, Health.FINISHED, f"{bridge._path.name} has been played")  # noqa: SLF001

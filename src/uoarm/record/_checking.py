@@ -48,6 +48,7 @@ class BagReader:
         self.path = path
         self.notes: list[str] = []
         self._channels: dict[str, FileChannel] = {}
+        self._kinds: dict[str, tuple[object, ...]] = {}
         reader = self._open()
         try:
             self.start = int(reader.start_time) if reader.message_count else 0
@@ -55,11 +56,11 @@ class BagReader:
             self.end = int(reader.end_time) - 1 if reader.message_count else 0
             is_two = bool(reader.is2)
             for connection in reader.connections:
-                known = self._channels.setdefault(
-                    connection.topic, _channel(connection, is_two=is_two)
-                )
-                if known.schema_name != connection.msgtype:
-                    self.notes.append(f"{connection.topic} has messages of two types: one is read")
+                topic, kind = str(connection.topic), _kind(connection)
+                self._channels.setdefault(topic, _channel(connection, is_two=is_two))
+                note = f"{topic} has messages of two types or definitions: the first is read"
+                if self._kinds.setdefault(topic, kind) != kind and note not in self.notes:
+                    self.notes.append(note)
         finally:
             reader.close()
 
@@ -72,12 +73,12 @@ class BagReader:
         self, topic: str, since: int, on_damage: Callable[[str], object]
     ) -> Iterator[StoredMessage]:
         """Yield the messages of a topic from a time on, in the order of their times."""
-        reader, wanted = self._open(), self._channels[topic].schema_name
+        reader, wanted = self._open(), self._kinds[topic]
         try:
             connections = [
                 connection
                 for connection in reader.connections
-                if connection.topic == topic and connection.msgtype == wanted
+                if connection.topic == topic and _kind(connection) == wanted
             ]
             for _, time, data in reader.messages(connections, start=since):
                 yield StoredMessage(time, data)
@@ -102,23 +103,36 @@ class BagReader:
         except Exception as error:
             text = (
                 f"{self.path} cannot be read: expected an MCAP file, a .bag of ROS 1 or a folder "
-                f"of rosbag2 ({text_of(error)}){self._advice()}"
+                f"of rosbag2 ({text_of(error)}){self._advice(error)}"
             )
             raise BridgeError(text, FailureReason.UNSUPPORTED) from error
         return reader
 
-    def _advice(self) -> str:
-        """Return what helps where the recorder was killed, beginning with a semicolon."""
+    def _advice(self, error: Exception) -> str:
+        """Return what helps against an error of rosbags, beginning with a semicolon."""
         if self.path.suffix == ".bag" and self.path.is_file():
             return "; `rosbag reindex` makes the index of a bag that was cut short"
         if not self.path.is_dir():
             return ""
+        if "no type definitions" in str(error):
+            return (
+                "; its recorder wrote no definitions, as before Iron: `ros2 bag convert` to mcap, "
+                "where its packages are installed, adds them"
+            )
         readable = sorted(self.path.glob("*.mcap"))
         if readable:
             return f"; give {readable[0]} as the file: what of it is readable is played"
         if not (self.path / "metadata.yaml").exists() and any(self.path.glob("*.db3")):
             return f"; `ros2 bag reindex {self.path}` mends a bag that was cut short"
         return ""
+
+
+def _kind(connection: Any) -> tuple[object, ...]:
+    """Return what decides how messages are read; of one definition publishers send several texts.
+
+    They differ in comments, and have one digest; without a digest there is the text alone.
+    """
+    return connection.msgtype, connection.digest or connection.msgdef.data
 
 
 def _channel(connection: Any, *, is_two: bool) -> FileChannel:

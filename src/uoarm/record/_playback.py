@@ -15,6 +15,7 @@ from attrs import frozen
 from uoarm.bridge import Bridge, ServiceStructures
 from uoarm.errors import UsageError
 from uoarm.model import Endpoint, MessageStructure, Role
+from uoarm.record.plugin import MOST_RATE, RATE
 
 CONTROL = "@control"
 """The address of the service that pauses, steps and seeks."""
@@ -23,10 +24,7 @@ CONTROL_REQUEST: Any = {
     "type": "object",
     "properties": {
         "pause": {"type": "boolean", "description": "Stand, or go on."},
-        "rate": {
-            "anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"enum": ["fast"]}],
-            "description": "Seconds of the recording in a second.",
-        },
+        "rate": {**RATE, "description": "Seconds of the recording in a second."},
         "seek": {"type": "number", "minimum": 0, "x-unit": "s"},
         "step": {"type": "boolean", "description": "Let the next message pass, and stand."},
     },
@@ -336,8 +334,9 @@ def ask_playback(
     if pause is not None:
         request["pause"] = pause
     if rate is not None:
-        if rate != "fast" and not (isinstance(rate, int | float) and 0 < rate < math.inf):
-            raise UsageError(f"rate {rate!r}: expected a number of more than 0, or 'fast'")
+        if rate != "fast" and not (isinstance(rate, int | float) and 0 < rate <= MOST_RATE):
+            text = f"rate {rate!r:.100}: expected more than 0 and at most {MOST_RATE:,}, or 'fast'"
+            raise UsageError(text)
         request["rate"] = rate
     if seek is not None:
         if not 0 <= seek < math.inf:

@@ -7,9 +7,13 @@ from attrs import frozen
 from uoarm.bridge import Bridge, BridgeOptions, BridgeType, EndpointOptions, hookimpl, option
 from uoarm.model import Options
 
-__all__ = ["PlaybackOptions", "uoarm_bridge_types"]
+__all__ = ["MOST_RATE", "RATE", "PlaybackOptions", "uoarm_bridge_types"]
 
-_POSITIVE = {"type": "number", "exclusiveMinimum": 0}
+MOST_RATE = 1_000_000_000
+"""A second of a recording in a nanosecond: places are counted in these."""
+RATE = {
+    "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": MOST_RATE}, {"enum": ["fast"]}]
+}
 _BOOLEAN = {"type": "boolean"}
 
 
@@ -25,7 +29,7 @@ class PlaybackOptions(BridgeOptions):
     )
     rate: float | str = option(
         1.0,
-        {"anyOf": [_POSITIVE, {"enum": ["fast"]}]},
+        RATE,
         "seconds of the recording in a second; `fast`: as fast as consumers take the messages",
     )
     from_: float = option(
