@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import pytest
 from endpoints import endpoint
 from peers import Peer
+from uoarm_rtm import _servants
 from uoarm_rtm._control import problem
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._peer import pairs
+from uoarm_rtm.component import ComponentProfile, RtComponent
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Role
+from uoarm.testing import Background, patience, wait
 
 Start = Callable[..., Peer]
 AT = endpoint(Role.SERVICE, "Worker.rtc", "@configuration")
@@ -125,3 +131,57 @@ def test_constraints(value: str, constraint: str, kind: str, widget: str, words:
     found = problem(value, constraint, kind, widget)
     assert bool(found) == bool(words)
     assert words in found
+
+
+@pytest.fixture
+def made() -> Iterator[tuple[Any, list[Mapping[str, str]]]]:
+    """The configuration of a component here, and what it was notified of."""
+    orb, notified = Orb("127.0.0.1", patience()), list[Mapping[str, str]]()
+    component = RtComponent(
+        orb,
+        ComponentProfile("Own", configuration={"default": {"gain": "1"}, "fast": {"gain": "9"}}),
+        configured=notified.append,
+    )
+    yield vars(component)["_configuration"], notified
+    component.close()
+    orb.close()
+
+
+def test_a_set_that_is_removed_as_all_are_read_is_read_or_is_not(
+    made: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    servant, _ = made
+    removing: list[Background[bool]] = []
+
+    def read(values: Mapping[str, str]) -> list[Any]:
+        if not removing:
+            removing.append(Background(lambda: servant.remove_configuration_set("fast")))
+            wait(lambda: "fast" not in servant._sets or servant._lock.locked())
+        return pairs(values)
+
+    monkeypatch.setattr(_servants, "pairs", read)
+    assert [found.id for found in servant.get_configuration_sets()] == ["default", "fast"]
+    assert removing[0].result()
+    assert [found.id for found in servant.get_configuration_sets()] == ["default"]
+
+
+def test_a_component_is_notified_last_of_what_is_in_force(
+    made: tuple[Any, list[Mapping[str, str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    servant, notified = made
+    begun, go_on = threading.Event(), threading.Event()
+
+    def configured(values: Mapping[str, str]) -> None:
+        if values["gain"] == "9":
+            begun.set()
+            assert go_on.wait(patience())
+        notified.append(values)
+
+    monkeypatch.setattr(servant, "_changed", configured)
+    first = Background(lambda: servant.activate_configuration_set("fast"))
+    assert begun.wait(patience())
+    then = Background(lambda: servant.activate_configuration_set("default"))
+    wait(lambda: servant._active == "default")
+    go_on.set()
+    assert (first.result(), then.result()) == (True, True)
+    assert [values["gain"] for values in notified] == ["9", "1"]

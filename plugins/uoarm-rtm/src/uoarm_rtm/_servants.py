@@ -244,7 +244,8 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
     Args:
         orb: where it is served.
         sets: values by name of the set.
-        changed: called with the values in force whenever they change, in a thread of the ORB.
+        changed: called with the values in force whenever they change, in a thread of the ORB, once
+            at a time.
     """
 
     def __init__(
@@ -257,6 +258,9 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
         self._changed = changed
         # Guards the sets and which is active: operations come in threads of the ORB.
         self._lock = threading.Lock()
+        # Held while a change is notified: the last is of what is in force. Re-entrant, since that
+        # may change more.
+        self._notifying = threading.RLock()
         self._sets = {name: dict(values) for name, values in sets.items()}
         self._sets.setdefault("default", {})
         self._active = "default"
@@ -268,17 +272,20 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
 
     def get_configuration_sets(self) -> list[Any]:
         """Return every set (CORBA operation)."""
-        return [self._set(name) for name in list(self._sets)]
+        with self._lock:
+            return [self._set(name) for name in self._sets]
 
     def get_configuration_set(self, config_id: str) -> Any:
         """Return one set (CORBA operation)."""
-        if config_id not in self._sets:
-            raise SDOPackage.InternalError(f"there is no configuration set {config_id!r}")
-        return self._set(config_id)
+        with self._lock:
+            if config_id not in self._sets:
+                raise SDOPackage.InternalError(f"there is no configuration set {config_id!r}")
+            return self._set(config_id)
 
     def get_active_configuration_set(self) -> Any:
         """Return the set in force (CORBA operation)."""
-        return self._set(self._active)
+        with self._lock:
+            return self._set(self._active)
 
     def activate_configuration_set(self, config_id: str) -> bool:
         """Put a set in force (CORBA operation)."""
@@ -324,10 +331,14 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
 
     def get_configuration_parameter_values(self) -> list[Any]:
         """Return the values in force (CORBA operation)."""
-        return pairs(self._sets[self._active])
+        with self._lock:
+            return pairs(self._sets[self._active])
 
     def _set(self, name: str) -> Any:
         return SDOPackage.ConfigurationSet(name, "", pairs(self._sets[name]))
 
     def _notify(self) -> None:
-        self._changed(dict(self._sets[self._active]))
+        with self._notifying:
+            with self._lock:
+                values = dict(self._sets[self._active])
+            self._changed(values)
