@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
 from random import Random
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import pytest
@@ -182,10 +184,37 @@ def test_a_unit_around_numbers_that_all_state_their_own_is_that_of_none() -> Non
         return {**closed(x=unit("m"), n={"type": "string"}), "x-unit": name}
 
     assert edge(around("mm"), around("s")).compatible
+    none = {"type": "null"}
+    assert edge(
+        *({"anyOf": [around("m"), none], "x-unit": name} for name in ("mm", "s"))
+    ).compatible
     one, other = ({**closed(a=around("mm"), y=NUMBER), "x-unit": name} for name in ("mm", "m"))
     assert pasted(one, other)({"a": {"x": 5, "n": "s"}, "y": 5}) == {
         "a": {"x": 5, "n": "s"}, "y": 0.005
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("around", "path"),
+    [
+        (lambda item: {"type": "object", "additionalProperties": item}, "v.*"),
+        (lambda item: {"type": "array", "prefixItems": [NUMBER, item]}, "v[1]"),
+        (lambda item: {"type": "array", "items": {**item, "type": ["null", "number"]}}, "v[]"),
+        (lambda item: {"anyOf": [{"type": ["null", "string"]}, item]}, "v"),
+        (MappingProxyType, "v"),
+    ],
+)
+def test_a_unit_is_compared_wherever_a_number_may_be(
+    around: Callable[[Any], Any], path: str
+) -> None:
+    made, taken = closed(v=around(unit("m"))), closed(v=around(unit("s")))
+    assert [reason.path for reason in edge(made, taken).reasons] == [path]
+    assert path in edge(made, closed(v=around(NUMBER))).unstated
+    assert path in edge(closed(v=around(NUMBER)), taken).unstated
+
+
+def test_what_may_be_anything_is_nothing_that_is_compared() -> None:
+    assert judge(closed(v=True), closed(v={"title": "x"})) == judge(True, {})
 
 
 def test_what_is_not_declared_rests_on_shape_and_is_named() -> None:
@@ -219,6 +248,8 @@ def test_constants_of_one_type_have_one_value_and_new_ones_are_noted() -> None:
     assert edge(newer, older).compatible
     (warning,) = edge(newer, older).warnings
     assert "constants that the consumer's has not: STRIP=2" in warning
+    assert edge({**older, "x-constants": 7}, older).compatible
+    assert edge(older, {**older, "x-constants": 7}).compatible
     verdict = edge(closed(marker=older), closed(marker=marker(ARROW=1, CUBE=0)))
     assert not verdict.compatible
     assert [reason.path for reason in verdict.reasons] == ["marker", "marker"]
@@ -396,7 +427,8 @@ def _written(draw: Random, tree: Tree, definitions: dict[str, Any]) -> dict[str,
     ways: list[Any] = [schema, {"allOf": [schema]}, {"anyOf": [schema, {"type": "null"}]}]
     ways += [{"allOf": [{"title": "x"}, schema]}, {"$ref": f"#/$defs/{len(definitions)}"}]
     for name in inner:
-        more = {"items": {}} if name == "[]" else {"properties": {name: {"title": "x"}}}
+        any_value = draw.choice([True, {"title": "x"}])
+        more = {"items": any_value} if name == "[]" else {"properties": {name: any_value}}
         ways += [{"allOf": [schema, more]}, {"allOf": [schema], **more}]
         ways += [{**schema, "anyOf": [{"required": [name]}, {"maxProperties": 9}]}]
     way = draw.choice(ways)

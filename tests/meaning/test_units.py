@@ -16,6 +16,7 @@ PAIRS = list(pairs())
 
 
 def test_two_hundred_pairs_have_their_published_factors() -> None:
+    _units._known.clear()  # what other tests have read
     wrong = []
     for name, other, factor, offset, exact in PAIRS:
         found = conversion(name, other)
@@ -47,10 +48,11 @@ def test_what_measures_something_else_has_no_factor(one: str, other: str) -> Non
     ("unit", "said"),
     [("foo", "'foo' is not known"), ("m//s", "no unit"), ("m/", "no unit"), ("(m", "no unit"),
      ("m)", "no unit"), ("m.s-99", "beyond sense"), ("", "1 to 60"), ("m" * 61, "1 to 60"),
-     ("m;s", "stands in none"), ("__import__('os')", "no unit"), ("dB", "not proportional"),
-     ("10*999", "beyond sense"), ("m m", "stands in none"), ("0.m", "whole ones"),
-     ("1.5.m", "whole ones"), ("m/0", "whole ones"), ("//s", "no unit"), ("{x}//s", "no unit"),
-     ("10*60.10*60", "too much or too little"), ("Ym12", "too much or too little")],
+     ("m;s", "stands in none"), ("__import__('os')", "no unit"), (".m", "no unit"),
+     ("dB", "not proportional"), ("10*999", "beyond sense"), ("m m", "stands in none"),
+     ("0.m", "whole ones"), ("1.5.m", "whole ones"), ("m/0", "whole ones"), ("//s", "no unit"),
+     ("{x}//s", "no unit"), ("10*60.10*60", "too much or too little"),
+     ("Ym12", "too much or too little")],
 )  # fmt: skip
 def test_what_is_no_unit_is_said(unit: str, said: str) -> None:
     assert said in unit_mistake(unit)
@@ -115,6 +117,7 @@ def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
         ("radain/s", "radian"),
         ("celcius", "celsius"),
         ("degress", "degree"),
+        ("minn", "min"),
         ("Newton.m", "newton"),
     ],
 )

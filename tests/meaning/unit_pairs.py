@@ -73,7 +73,7 @@ m/s m/min 60
 mm/min m/s 1/60000
 [ft_i]/s m/s 0.3048
 [ft_i]/min m/s 0.00508
-m/s2 cm/s2 100
+m/s^2 cm/s**2 100
 [g] m/s2 9.80665
 m/s2 km/h/s 18/5
 kg g 1000
