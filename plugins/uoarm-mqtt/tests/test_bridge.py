@@ -313,6 +313,35 @@ class TestPresence:
         for item in peers:
             item.close()
 
+    def test_one_that_is_slow_to_be_read_holds_up_no_other(
+        self, broker: Broker, peer: Peer, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        reached, gate = threading.Event(), threading.Event()
+        subscribe = _link.BrokerConnection.subscribe
+
+        def late(link: Any, receiver: Any, **more: Any) -> None:
+            if receiver.topic == "slow/there":
+                reached.set()
+                assert gate.wait(patience())
+            subscribe(link, receiver, **more)
+
+        def describe(bridge: Bridge, name: str) -> None:
+            place = endpoint(name, presence={"topic": f"{name}/there"})
+            bridge.describe(place, timeout=patience())
+
+        monkeypatch.setattr(_link.BrokerConnection, "subscribe", late)
+        for name in ("slow", "quick"):
+            peer.publish(f"{name}/there", "online", retain=True)
+        with bridge_to(broker) as bridge:
+            slow = [Background(lambda: describe(bridge, "slow")) for _ in range(2)]
+            try:
+                assert reached.wait(patience())
+                describe(bridge, "quick")
+            finally:
+                gate.set()
+            for description in slow:
+                description.result()
+
     def test_ours_is_announced_and_withdrawn(self, broker: Broker, peer: Peer) -> None:
         came = peer.collect("robots/ours")
         with bridge_to(broker, presence={"topic": "robots/ours"}) as bridge:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import socket
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 from brokers import Broker
 from tests.inbox import health_events, until  # type: ignore[import-not-found]
+from uoarm_mqtt.connection import BrokerConnection
 from uoarm_vda5050.vehicle import Vehicle
 
 from fleet import bridge_to, driven, endpoint, goal
 from uoarm.errors import BridgeError
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import Collector, patience, wait
+from uoarm.testing import Background, Collector, patience, wait
 
 ANYTHING = MessageStructure(True)
 RELEASES = ("2.0", "2.1", "3.0")
@@ -145,3 +147,30 @@ def _die(vehicle: Vehicle) -> None:
 
     client.on_disconnect = stay_away
     client.socket().shutdown(socket.SHUT_RDWR)
+
+
+def test_a_vehicle_that_is_slow_to_be_followed_holds_up_no_other(
+    broker: Broker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reached, gate, subscribe = threading.Event(), threading.Event(), BrokerConnection.subscribe
+
+    def late(link: BrokerConnection, receiver: Any, **more: Any) -> None:
+        if receiver.topic.endswith("/slow/state"):
+            reached.set()
+            assert gate.wait(patience())
+        subscribe(link, receiver, **more)
+
+    def follow(serial: str) -> Any:
+        place = endpoint(serial, "transport", "status")
+        return bridge.open_source(place, ANYTHING, lambda _: None, timeout=patience())
+
+    monkeypatch.setattr(BrokerConnection, "subscribe", late)
+    with driven(broker, "slow"), driven(broker, "quick"), bridge_to(broker) as bridge:
+        slow = [Background(lambda: follow("slow")) for _ in range(2)]
+        try:
+            assert reached.wait(patience())
+            follow("quick")
+        finally:
+            gate.set()
+        first, second = (opening.result() for opening in slow)
+        assert first._follower is second._follower

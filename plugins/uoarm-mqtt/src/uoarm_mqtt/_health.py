@@ -75,12 +75,20 @@ class RetainedTopic:
         self._changed = changed
         self._came = threading.Event()
         self._link, self._receiver = link, Receiver(topic, self._take, retained=True)
+        # Held until what is retained has come, so that no caller reads a topic that is only being
+        # opened, and callers in several threads open it once.
+        self._opening = threading.Lock()
+        self._is_open = False
 
     def open(self, wait: float) -> None:
-        """Subscribe; returns when what is retained has come, or nothing is."""
-        self._link.subscribe(self._receiver, settled=True)
-        # Mosquitto sends what is retained before it answers; others may be later.
-        self._came.wait(wait)
+        """Subscribe, once; returns when what is retained has come, or nothing is."""
+        with self._opening:
+            if self._is_open:
+                return
+            self._link.subscribe(self._receiver, settled=True)
+            # Mosquitto sends what is retained before it answers; others may be later.
+            self._came.wait(wait)
+            self._is_open = True
 
     def _take(self, incoming: ReceivedMessage) -> None:
         self.payload = incoming.payload
@@ -101,9 +109,6 @@ class Components:
         self, link: BrokerConnection, wait: float, report: Callable[[str, Health, str], object]
     ) -> None:
         self._link, self._wait, self._report = link, wait, report
-        # Callers in several threads watch a topic once; held until what is retained has come, so
-        # that none reads a topic that is only being opened.
-        self._lock = threading.Lock()
         self._watched: dict[object, RetainedTopic] = {}
 
     def require(self, component: str, presence: PresenceOptions) -> None:
@@ -129,10 +134,9 @@ class Components:
         return self._read(topic, topic, lambda _: None)
 
     def _read(self, key: object, topic: str, changed: Callable[[bytes], None]) -> bytes:
-        with self._lock:
-            watched = self._watched.get(key)
-            if watched is None:
-                watched = RetainedTopic(self._link, topic, changed)
-                watched.open(self._wait)
-                self._watched[key] = watched
+        watched = self._watched.get(key)
+        if watched is None:  # of several callers at once, all get the same one
+            made = RetainedTopic(self._link, topic, changed)
+            watched = self._watched.setdefault(key, made)
+        watched.open(self._wait)
         return watched.payload

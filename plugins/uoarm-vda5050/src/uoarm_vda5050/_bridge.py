@@ -69,7 +69,10 @@ class Vda5050Bridge(Bridge):
         self._followers: dict[Vehicle, VehicleFollower] = {}
         self._names: dict[Vehicle, set[str]] = {}
         self._headers: dict[Vehicle, Headers] = {}
-        # Guards followers, names and headers, between the threads of callers and of followers.
+        # Of each vehicle, held while it begins to be followed, so that callers in several threads
+        # begin once; a broker that does not answer holds up no other vehicle.
+        self._opening: dict[Vehicle, threading.Lock] = {}
+        # Guards these locks and names, between the threads of callers and of followers.
         self._lock = threading.Lock()
 
     @property
@@ -128,11 +131,14 @@ class Vda5050Bridge(Bridge):
         return self._directory.listing(self._presence.online())
 
     def _close(self) -> None:
+        self._broker.close()  # what is being opened fails
         with self._lock:
-            followers = list(self._followers.values())
-        for follower in followers:
-            follower.close()
-        self._broker.close()
+            openings = list(self._opening.items())
+        for vehicle, opening in openings:
+            with opening:
+                follower = self._followers.get(vehicle)
+            if follower is not None:
+                follower.close()
 
     def _place(self, endpoint: Endpoint) -> VehicleAddress:
         with reading_endpoint(endpoint):
@@ -148,6 +154,8 @@ class Vda5050Bridge(Bridge):
         self._presence.require(vehicle, endpoint.component)
         with self._lock:
             self._names.setdefault(vehicle, set()).add(endpoint.component)
+            opening = self._opening.setdefault(vehicle, threading.Lock())
+        with opening:
             follower = self._followers.get(vehicle)
             if follower is None:
                 follower = self._new_follower(place)
@@ -192,8 +200,7 @@ class Vda5050Bridge(Bridge):
         )
 
     def _codec(self, place: VehicleAddress, structure: MessageStructure) -> VdaCodec:
-        with self._lock:
-            headers = self._headers[place.vehicle]
+        headers = self._headers[place.vehicle]
         return self._reading(place.topic, structure, headers, header=place.header)
 
     def _topic(self, place: VehicleAddress) -> str:
