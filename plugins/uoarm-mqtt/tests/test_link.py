@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import resource
 import socket
 import struct
 import threading
@@ -158,6 +160,22 @@ def test_a_first_call_as_it_closes_leaves_no_connection(
     close_during(link, gate)
     with pytest.raises(BridgeError, match="is closed"):
         requiring.result()
+
+
+def test_a_process_with_many_descriptors_open_connects(link: BrokerConnection) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (limits[1], limits[1]))
+    taken = [os.dup(0)]
+    try:
+        while taken[-1] < 1024:  # the last that `select` takes is below it
+            taken.append(os.dup(0))
+        link.require_up()
+        link.barrier()
+    finally:
+        link.close()
+        for descriptor in taken:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
 
 
 def test_a_closed_one_says_so(link: BrokerConnection) -> None:

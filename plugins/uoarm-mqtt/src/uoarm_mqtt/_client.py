@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import selectors
 import ssl
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Literal
 
 from paho.mqtt.client import Client
@@ -18,6 +20,8 @@ from uoarm_mqtt._options import BrokerCredentials
 
 MOST_IN_FLIGHT = 20
 _UNSPECIFIED = 0x80
+# `select` takes no descriptor above 1,024, and is what Windows has.
+_Selector = getattr(selectors, "PollSelector", selectors.SelectSelector)
 
 
 class PacketTooLargeError(OSError):
@@ -77,6 +81,32 @@ class BrokerClient(ThreadedClient):
             return MQTTErrorCode.MQTT_ERR_UNKNOWN
         finally:
             self.when_ended(cause)
+
+    def _loop(self, timeout: float = 1.0) -> MQTTErrorCode:
+        """Wait for what comes or may be sent, and do it; as paho's own, which uses `select`."""
+        link, waker = self._sock, self._sockpairR
+        if link is None or waker is None:
+            return MQTTErrorCode.MQTT_ERR_NO_CONN
+        is_read = isinstance(link, ssl.SSLSocket) and link.pending()
+        wanted = selectors.EVENT_WRITE if self.want_write() else 0
+        with _Selector() as selector:
+            try:
+                selector.register(link, selectors.EVENT_READ | wanted)
+            except ValueError:  # it has been closed
+                return MQTTErrorCode.MQTT_ERR_CONN_LOST
+            selector.register(waker, selectors.EVENT_READ)
+            ready = {
+                key.fileobj: events for key, events in selector.select(0 if is_read else timeout)
+            }
+        rc = MQTTErrorCode.MQTT_ERR_SUCCESS
+        if is_read or ready.get(link, 0) & selectors.EVENT_READ:
+            rc = self.loop_read()
+        if waker in ready:  # something is to be sent that was not when the waiting began
+            with suppress(BlockingIOError):
+                waker.recv(10_000)
+        if not rc and self._sock and (waker in ready or ready.get(link, 0) & selectors.EVENT_WRITE):
+            rc = self.loop_write()
+        return rc if rc or self._sock is None else self.loop_misc()
 
     def show(self, credentials: BrokerCredentials) -> None:
         """Show the broker these from the next connection on."""
