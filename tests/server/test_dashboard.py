@@ -257,6 +257,20 @@ class TestEmergencyStop:
         browser.until("!document.querySelector('.stopped')")
         assert not robot.is_stopped
 
+    def test_without_an_answer_it_says_so_and_connects_again(
+        self, browser: Browser, visit: Visit
+    ) -> None:
+        visit()
+        # As where the network goes without a word: for a quarter of an hour nothing breaks.
+        browser.js("void (window.given = WebSocket.prototype.send)")
+        browser.js("void (WebSocket.prototype.send = () => {})")
+        browser.click(".stop-all", "Stop all")
+        browser.until(says(".stopped", "NOT STOPPED"))
+        assert "has not answered" in browser.js(text(".stopped"))
+        browser.until("document.querySelector('.link-state.closed')")
+        browser.js("void (WebSocket.prototype.send = window.given)")
+        browser.until("document.querySelector('.link-state.open')")
+
     def test_a_client_without_the_right_gets_an_error_and_nothing_is_stopped(
         self, browser: Browser, serve: Serve, robot: RobotManager, tmp_path: Path
     ) -> None:

@@ -13,6 +13,9 @@ class Socket {
   send(text) {
     this.sent.push(JSON.parse(text));
   }
+  close() {
+    this.isClosed = true;
+  }
   deliver(message) {
     this.onmessage({ data: JSON.stringify(message) });
   }
@@ -58,6 +61,29 @@ test("a broken connection refuses what was asked, and is opened again", async (c
   await assert.rejects(wire.ask("List"), { code: "closed" });
   assert.deepEqual(received.at(-1), ["link", "closed"]);
   const before = Socket.made.length;
+  context.mock.timers.tick(500);
+  assert.equal(Socket.made.length, before + 1);
+});
+
+test("a connection over which nothing comes any more is given up, whatever the network says", async (context) => {
+  context.mock.timers.enable({ apis: ["setTimeout"] });
+  let answer;
+  const { wire, received, socket } = open({ isLocked: () => new Promise((resolve) => { answer = resolve; }) });
+  const look = () => {
+    for (let second = 0; second < 15; second += 1) wire.look();
+  };
+  look();
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  look();
+  assert.equal(received.length, 2);
+  const asked = wire.ask("Stop");
+  look();
+  assert.ok(socket.isClosed);
+  await assert.rejects(asked, { code: "closed" });
+  assert.deepEqual(received.at(-1), ["link", "closed"]); // before it is known whether it is locked
+  const before = Socket.made.length;
+  answer(false);
+  await new Promise(setImmediate);
   context.mock.timers.tick(500);
   assert.equal(Socket.made.length, before + 1);
 });

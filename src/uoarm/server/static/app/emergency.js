@@ -3,6 +3,8 @@
 import { span } from "./format.js";
 import { html, Icon, Notice, Sure } from "./ui.js";
 
+const LATE = 4000; // milliseconds; the server reports after two seconds at most
+
 /** Every open input that moves something, and why it has not stopped where it has not. Pure. */
 export function inputsOf(status) {
   return status.components.flatMap((component) => (component.channels ?? []).filter(({ command }) => command).map(
@@ -42,12 +44,18 @@ export function Stopped({ store }) {
 }
 
 async function report(store, asked, title) {
+  const say = (trouble) => {
+    store.trouble = trouble;
+    store.changed();
+  };
+  const late = setTimeout(say, LATE, { title, text: "The server has not answered yet." });
   try {
     const report = await asked;
-    store.trouble = report?.unkept ? { title: "Not stopped after a restart", text: report.unkept } : null;
+    clearTimeout(late);
+    say(report?.unkept ? { title: "Not stopped after a restart", text: report.unkept } : null);
     await store.refresh();
   } catch (error) {
-    store.trouble = { title, text: error.message };
-    store.changed();
+    clearTimeout(late);
+    say({ title, text: error.message });
   }
 }

@@ -16,6 +16,7 @@ import { html } from "./ui.js";
 
 const NARROW = "(max-width: 700px)";
 const NARROWED = new Set(["graph", "list"]); // by search and filter, and by what runs
+const ANSWER = 5000; // milliseconds
 const KEPT = "uoarm.token";
 
 function App({ store }) {
@@ -124,7 +125,8 @@ function unlock(store, token) {
 async function isLocked(token) {
   const headers = token ? { Authorization: `Bearer ${token}` } : {};
   try {
-    return (await fetch("metrics", { headers })).status === 401;
+    const signal = AbortSignal.timeout(ANSWER);
+    return (await fetch("metrics", { headers, signal })).status === 401;
   } catch {
     return false; // the server is away
   }

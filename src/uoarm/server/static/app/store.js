@@ -14,6 +14,7 @@ export class Store {
     this.link = "opening";
     this.hello = null;
     this.functions = [];
+    this.begun = false; // whether what this connection is asked first was answered
     this.loaded = false; // whether what there is has come at all
     this.status = NOTHING;
     this.events = [];
@@ -94,7 +95,9 @@ export class Store {
   #linked(link, hello) {
     this.link = link;
     clearInterval(this.timer);
+    this.begun = false;
     if (link === "open") {
+      this.timer = setInterval(() => this.#look(), EVERY);
       this.hello = hello;
       this.approvals.mayAsk = true;
       this.#begin().catch((error) => console.warn(error.message));
@@ -114,11 +117,13 @@ export class Store {
     this.#see(mergeStatus(null, status));
     this.#askApprovals();
     this.watches.again();
-    this.timer = setInterval(() => this.#look(), EVERY);
+    this.begun = true;
   }
 
   #look() {
     if (document.hidden) return;
+    this.wire.look();
+    if (!this.begun) return;
     this.refresh().catch((error) => console.warn(error.message));
     this.#askApprovals();
   }

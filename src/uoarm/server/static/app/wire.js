@@ -3,6 +3,7 @@
 const FORM = "uoarm.v1.json";
 const FIRST_WAIT = 500;
 const LONGEST_WAIT = 8000;
+const MOST_SILENCE = 20; // looks without a message, after which the connection is given up
 
 /** An answer that says no. `code` is for programs, `message` for people. */
 export class Refusal extends Error {
@@ -29,12 +30,14 @@ export class Wire {
     this.wait = FIRST_WAIT;
     this.count = 0;
     this.asked = new Map();
+    this.silence = 0; // looks since something came
   }
 
   open() {
     const forms = this.token ? [FORM, `uoarm.token.${this.token}`] : [FORM];
     const link = new this.socket(this.url, forms);
     this.link = link;
+    this.silence = 0;
     link.onmessage = (event) => this.#read(JSON.parse(event.data));
     link.onclose = () => link === this.link && this.#closed();
   }
@@ -54,7 +57,18 @@ export class Wire {
     });
   }
 
+  /** Once a second, while something is asked as often: a network may go without a word. */
+  look() {
+    this.silence += 1;
+    if (this.silence <= MOST_SILENCE) return;
+    this.silence = 0;
+    this.link.onclose = this.link.onmessage = null;
+    this.link.close();
+    this.#closed();
+  }
+
   #read({ op, type, id, jsonMessage }) {
+    this.silence = 0;
     const asker = this.asked.get(id);
     this.asked.delete(id);
     if (op === "Reply") asker?.resolve(jsonMessage);
@@ -73,11 +87,11 @@ export class Wire {
       reject(new Refusal({ code: "closed", text: "the connection to the server broke" }));
     }
     this.asked.clear();
+    this.receive("link", "closed");
     if (await this.isLocked(this.token)) {
       this.receive("link", "locked");
       return;
     }
-    this.receive("link", "closed");
     setTimeout(() => this.open(), this.wait);
     this.wait = Math.min(this.wait * 2, LONGEST_WAIT);
   }
