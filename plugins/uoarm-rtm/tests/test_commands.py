@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,14 @@ from endpoints import endpoint, source
 from peers import Peer
 from test_leftovers import holding
 from tests.processes import run_python  # type: ignore[import-not-found]
+from uoarm_rtm import nameserver
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge
 from uoarm.cli import main
+from uoarm.errors import BridgeError
 from uoarm.model import Role
+from uoarm.testing import wait
 
 Start = Callable[..., Peer]
 PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
@@ -199,3 +203,31 @@ sys.exit(main(["nameserver", "--port", "0"]))
     with pytest.raises(ProcessLookupError):
         os.kill(process, 0)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the kernel ends no process")
+def test_a_naming_service_ends_with_what_started_it_even_where_that_is_killed(
+    tmp_path: Path,
+) -> None:
+    program = """
+import os, signal, threading
+from uoarm_rtm import nameserver
+from uoarm_rtm.nameserver import NameServer
+made = []
+making = threading.Thread(target=lambda: made.append(NameServer()))
+making.start()
+making.join()
+assert made[0].process.poll() is None
+print(made[0].port, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = run_python("-c", program, env={"TMPDIR": str(tmp_path)})
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    port = int(done.stdout)
+    wait(lambda: not nameserver._is_served("127.0.0.1", port))
+
+
+def test_a_naming_service_that_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nameserver, "omniorb_programs", lambda: Path("/not/there"))
+    with pytest.raises(BridgeError, match=r"omniNames cannot be started: .*/not/there"):
+        NameServer()

@@ -1,7 +1,7 @@
 """A naming service for programs and tests: omniNames, without any other installation.
 
-It listens on loopback and ends with its starter, unless that is killed. Importing this module
-imports no middleware.
+It listens on loopback and ends with its starter, where that is killed on Linux only. Importing this
+module imports no middleware.
 
 with NameServer() as names:
     print(names.address)
@@ -14,10 +14,13 @@ import shutil
 import socket
 import struct
 import subprocess
+import sys
 import tempfile
+import threading
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from queue import SimpleQueue
 
 from typing_extensions import Self
 
@@ -111,16 +114,46 @@ class NameServer:
 
 
 def _start(command: tuple[str, ...]) -> subprocess.Popen[bytes]:
-    try:
-        return subprocess.Popen(  # noqa: S603 - a program of our dependency
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-    except OSError as error:
-        text = f"omniNames cannot be started: {error}"
-        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+    started: SimpleQueue[subprocess.Popen[bytes] | Exception] = SimpleQueue()
+
+    def run() -> None:
+        try:
+            process = subprocess.Popen(  # noqa: S603 - a program of our dependency
+                _with_starter(command),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        except OSError as error:
+            started.put(error)
+        else:
+            started.put(process)
+            process.wait()  # as it would end with this thread
+
+    threading.Thread(target=run, name="uoarm-rtm-names", daemon=True).start()
+    process = started.get()
+    if isinstance(process, Exception):
+        text = f"omniNames cannot be started: {process}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from process
+    return process
+
+
+# The kernel ends it with the thread that started it, however that ends (prctl(2)).
+_WITH_STARTER = """
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGTERM, 0, 0, 0)
+if os.getppid() == int(sys.argv[1]):
+    os.execv(sys.argv[2], sys.argv[2:])
+"""
+
+
+def _with_starter(command: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the command line of a process that ends when this one is killed; Linux only."""
+    program = shutil.which(command[0])
+    if sys.platform != "linux" or program is None:  # which is said as it is started
+        return command
+    own = (sys.executable, "-I", "-S", "-c", _WITH_STARTER, str(os.getpid()))
+    return (*own, program, *command[1:])
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
