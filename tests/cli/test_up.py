@@ -196,3 +196,24 @@ def test_looking_goes_on_after_anything_that_a_plugin_raises_and_says_it_once(
         with _up._following(looking, 0.001):
             wait(lambda: len(looks) > 3, "it looks no more")
     assert capsys.readouterr().err == "looking for components failed: SystemExit: 3\n"
+
+
+def test_it_ends_where_what_reads_its_output_has_ended() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    ended = threading.Event()
+    former = signal.signal(signal.SIGTERM, lambda *_: ended.set())
+
+    def echo(line: str) -> None:
+        os.write(write, line.encode())
+
+    lab = MemoryBridge("lab", {})
+    lab.emitter("camera", IMAGE)
+    try:
+        with RobotManager(loads(EMPTY), bridges={"lab": lab}) as manager:
+            looking = _up._Follower(manager, as_json=False, echo=echo)
+            with pytest.raises(BrokenPipeError), _up._following(looking, 0.001):
+                wait(ended.is_set)
+    finally:
+        signal.signal(signal.SIGTERM, former)
+        os.close(write)

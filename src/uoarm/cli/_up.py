@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -67,7 +68,7 @@ def up(
     to fit; one with an input that nothing feeds is none, unless --unfed names that input.
 
     Prints what comes and goes, and what each function would run on or why it cannot be had,
-    until Ctrl-C or SIGTERM. Nothing is written to a file.
+    until Ctrl-C or SIGTERM, or until what reads it ends. Nothing is written to a file.
     """
     registry = Registry()
     with reporting(), needing("server"):
@@ -159,8 +160,8 @@ class _Follower:
 
 @contextmanager
 def _following(follower: _Follower, every: float) -> Iterator[None]:
-    """Look in a thread of its own, so often."""
-    over = threading.Event()
+    """Look in a thread of its own, so often; ends the process where nothing can be printed."""
+    over, unwritten = threading.Event(), list[OSError]()
 
     def run() -> None:
         said = ""
@@ -168,6 +169,10 @@ def _following(follower: _Follower, every: float) -> Iterator[None]:
             failure = ""
             try:
                 foreign(follower.look)
+            except BrokenPipeError as error:  # of what is printed: its reader has ended
+                unwritten.append(error)
+                signal.raise_signal(signal.SIGTERM)
+                return
             except Exception as error:  # noqa: BLE001 - plugins and what is printed may raise anything
                 failure = sentence_of(error)
             if failure not in {"", said} and not over.is_set():
@@ -182,3 +187,5 @@ def _following(follower: _Follower, every: float) -> Iterator[None]:
     finally:
         over.set()
         thread.join(_END_SECONDS)
+    if unwritten:
+        raise unwritten[0]
