@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import random
+import select
 import socket
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -194,6 +195,19 @@ def test_answers_that_are_not_read_are_memory_of_their_client(serve: Any, access
         heads = sorted(connection.recv(12) for connection in connections)
         assert heads == [b"HTTP/1.1 200", b"HTTP/1.1 200", b"HTTP/1.1 503"]
         assert agents.facts("add", {"a": 1, "b": 2}, "other")["result"] == {"value": 3}
+
+
+def test_requests_that_do_not_end_are_memory_of_their_client(serve: Any, access: Any) -> None:
+    server = serve(Limits(memory_bytes=2_000_000, message_seconds=patience()), access=access)
+    head = f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {TOKENS['agent']}\r\n"
+    with ExitStack() as stack:
+        address = "127.0.0.1", server.ports[1]
+        opened = [socket.create_connection(address, patience()) for _ in range(3)]
+        connections = [stack.enter_context(connection) for connection in opened]
+        for connection in connections:
+            connection.sendall(f"{head}Content-Length: 900000\r\n\r\n{'x' * 800_000}".encode())
+        answered = select.select(connections, [], [], patience())[0]
+        assert [connection.recv(12) for connection in answered] == [b"HTTP/1.1 503"]
 
 
 def test_who_has_no_token_or_is_a_strange_page_is_not_let_in(agents: Agents) -> None:

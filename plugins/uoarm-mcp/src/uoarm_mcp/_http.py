@@ -228,19 +228,23 @@ class AdmittingApp:
                 if scope["path"].rstrip("/") != PATH:
                     await _answer(send, 404, f"there is no endpoint here; it is {PATH}")
                     return
-                await self._serve(client, scope, receive, send)
+                held = client.account.hold(MemoryUse.ASKED)
+                try:
+                    await self._serve(client, held, scope, receive, send)
+                finally:
+                    held.release()
         except RefusedError as error:
             await _answer(send, error.status.value, coded_text(error))
 
     async def _serve(
-        self, client: StatelessClient, scope: _Scope, receive: _Receive, send: _Send
+        self, client: StatelessClient, held: Charge, scope: _Scope, receive: _Receive, send: _Send
     ) -> None:
         limits = self._place.backend.limits
         most = min(_BODY_OCTETS, limits.message_bytes)
         budget = Budget(most, limits.elements, limits.depth, limits.dimensions)
         spending = BudgetUse(budget)
         try:
-            body = await asyncio.wait_for(_body(receive, most), limits.message_seconds)
+            body = await asyncio.wait_for(_body(receive, most, held), limits.message_seconds)
             if body:
                 scan_json(body.decode(), spending)
         except asyncio.TimeoutError:
@@ -248,6 +252,9 @@ class AdmittingApp:
             return
         except ControlMessageError as error:
             await _answer(send, 413, coded_text(error))
+            return
+        except BusyError as error:
+            await _answer(send, 503, coded_text(error))
             return
         except UnicodeDecodeError:
             await _answer(send, 400, "the request is not UTF-8")
@@ -328,8 +335,8 @@ class _Sending:
             self._charge.release()
 
 
-async def _body(receive: _Receive, most: int) -> bytes | None:
-    """Return the body of a request; None: its client has gone."""
+async def _body(receive: _Receive, most: int, held: Charge) -> bytes | None:
+    """Return the body of a request, which is charged as it comes; None: its client has gone."""
     parts, size = [], 0
     while True:
         message = await receive()
@@ -339,6 +346,9 @@ async def _body(receive: _Receive, most: int) -> bytes | None:
         size += len(part)
         if size > most:
             raise ControlMessageError(f"a request may have {most:,} octets")
+        if not held.grow(len(part)):
+            held.release()  # at once, or those beside it would be refused as well
+            raise BusyError("the requests under way hold all the memory that they may")
         parts.append(part)
         if not message.get("more_body"):
             return b"".join(parts)
