@@ -376,6 +376,34 @@ def test_what_is_watched_no_more_is_closed(
     wait(lambda: not robot.connections(), "it is closed with the session")
 
 
+@pytest.mark.filterwarnings("ignore::mcp.shared.exceptions.MCPDeprecationWarning")
+def test_what_is_watched_twice_at_one_time_is_watched_once(
+    agents: Agents, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uoarm_mcp._streams._IDLE_SECONDS", 0.0)
+    client, uri = agents.client("agent", "legacy"), "uoarm://stream/numbers"
+
+    async def subscribe() -> None:
+        await asyncio.gather(*(client.subscribe_resource(uri) for _ in range(5)))
+
+    agents.run(subscribe())
+    assert robot.connections()
+    agents.run(client.unsubscribe_resource(uri))
+    wait(lambda: not robot.connections(), "it is closed")
+
+
+def test_more_than_may_be_watched_is_refused(agents: Agents) -> None:
+    client = agents.client("agent", "2026-07-28")
+
+    async def listen() -> None:
+        uris = [f"uoarm://stream/{number}" for number in range(65)]
+        async with client.listen(resource_subscriptions=uris):
+            """It is refused before."""
+
+    with pytest.raises(MCPError, match="limit: 64 resources are watched"):
+        agents.run(listen())
+
+
 async def test_what_opens_for_a_client_that_has_gone_is_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

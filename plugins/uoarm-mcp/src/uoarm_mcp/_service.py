@@ -442,9 +442,13 @@ class AgentService:
 
         try:
             with agent.working():
-                self._subscribed[key] = await self._watch(agent, uri, send)
+                end = await self._watch(agent, uri, send)
         except UoarmError as error:
             raise MCPError(INVALID_PARAMS, failure_text(error)) from None
+        if key in self._subscribed:  # it was asked for twice at one time
+            end()
+            return EmptyResult()
+        self._subscribed[key] = end
         if _SUBSCRIBES not in connection.state:
             connection.state[_SUBSCRIBES] = True
             connection.exit_stack.callback(self._end_subscriptions, connection)
@@ -471,13 +475,13 @@ class AgentService:
         client = agent.client
         if self._listening.get(client, 0) >= _MOST_LISTENING:
             raise MCPError(INVALID_PARAMS, f"limit: {_MOST_LISTENING} streams of notices are open")
+        wanted = [str(uri) for uri in params.notifications.resource_subscriptions or ()]
+        if len(wanted) > _MOST_SUBSCRIBED:
+            raise MCPError(INVALID_PARAMS, f"limit: {_MOST_SUBSCRIBED} resources are watched")
         self._listening[client] = self._listening.get(client, 0) + 1
         bus = InMemorySubscriptionBus()
-        wanted = [str(uri) for uri in params.notifications.resource_subscriptions or ()]
         ends: list[Callable[[], None]] = []
-        opening = asyncio.ensure_future(
-            self._watch_all(agent, wanted[:_MOST_SUBSCRIBED], bus, ends)
-        )
+        opening = asyncio.ensure_future(self._watch_all(agent, wanted, bus, ends))
         self._buses[bus] = None
         try:
             return await ListenHandler(bus, max_subscriptions=1)(context, params)
