@@ -91,6 +91,38 @@ class Master:
         return True
 
 
+class RestartingMaster(Master):
+    """One that is killed and started again within its process, whose number stays."""
+
+    def start(self) -> None:
+        if self._process is None:
+            self._process = subprocess.Popen(
+                [ROS_PYTHON, str(HERE / "debian" / "restarting_master.py"), str(self.port)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=self.environment,
+            )
+        self._do(b"start")
+
+    def kill(self) -> None:
+        self._do(b"stop")
+
+    def end(self) -> None:
+        """End its process."""
+        assert self._process is not None
+        self._process.kill()
+        self._process.communicate()
+
+    def _do(self, command: bytes) -> None:
+        assert self._process is not None
+        stdin, stdout = self._process.stdin, self._process.stdout
+        assert stdin is not None
+        assert stdout is not None
+        stdin.write(command + b"\n")
+        stdin.flush()
+        assert stdout.readline() == command + b"\n"
+
+
 class Peer:
     """A node in a process of its own, which does what it is asked by lines of JSON."""
 

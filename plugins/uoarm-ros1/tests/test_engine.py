@@ -424,7 +424,11 @@ def test_the_environment_says_what_the_options_leave_out() -> None:
 def test_addresses_and_options_are_checked_in_words() -> None:
     assert mistake(("/a", "std_msgs/Int32"), {}) == ""
     assert mistake(("/a", "parameter"), {}) == ""
-    assert "is not a type of ROS 1" in mistake(("/a", "std_msgs/msg/Int32"), {})
+    for of_ros_2, meant in (("msg/Int32", "Int32"), ("srv/Set", "Set"), ("action/Do", "DoAction")):
+        text = mistake(("/a", f"std_msgs/{of_ros_2}"), {})
+        assert "is not a type of ROS 1" in text
+        assert text.endswith(f"did you mean 'std_msgs/{meant}'?")
+    assert mistake(("/a", "Int32"), {}).endswith("nor `parameter`")
     assert "is not a name" in mistake(("a b",), {})
     with pytest.raises(ValueError, match=r"option \$\.queue"):
         Ros1Options.of({"queue": 0})

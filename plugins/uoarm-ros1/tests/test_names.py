@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import threading
+from functools import partial
 from typing import Any, cast
 
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
-from peers import Master, Peer, running
+from peers import Master, Peer, RestartingMaster, running
 from uoarm_ros1._node import Rosout
 from uoarm_ros1._options import NodeIdentity, Ros1BridgeOptions
 
 from uoarm import RobotManager
+from uoarm.bridge import Channel
 from uoarm.config import loads
 from uoarm.errors import BridgeError
 from uoarm.model import Health, MessageStructure, OfferState
@@ -170,6 +172,81 @@ def test_what_is_opened_before_the_look_at_a_new_master_hides_nothing_from_it(
         assert watching._node.is_known()
         monkeypatch.undo()
         wait(lambda: "/before" in registered(watching._node), "it is not known", patience())
+
+
+def test_a_master_that_comes_back_with_its_process_is_another(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = RestartingMaster(tmp_path / "master")
+    world.start()
+    try:
+        with bridge_to(world) as bridge:
+            watching: Any = bridge
+            bridge.open_source(output("/before", INT, peer="optional"), ANY, print)
+            wait(lambda: watching._master_health.is_up, "the master was not asked", patience())
+            world.kill()
+            wait(lambda: not watching._master_health.is_up, "it is not missed", patience())
+            is_between = threading.Event()
+            monkeypatch.setattr(bridge, "_look_at_master", is_between.set)
+            assert is_between.wait(patience())
+            world.start()
+            bridge.open_source(output("/since", INT, peer="optional"), ANY, print)
+            assert watching._node.is_known()
+            monkeypatch.undo()
+            wait(lambda: "/before" in registered(watching._node), "it is not known", patience())
+    finally:
+        world.end()
+
+
+def test_a_parameter_that_is_not_set_any_more_is_degraded_until_it_is(tmp_path: Any) -> None:
+    with running(tmp_path / "master") as world:
+        peer = world.peer("setting")
+        peer.do("set_param", name="/speed", value=1)
+        with bridge_to(world) as bridge:
+            collector = Collector()
+            bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
+            assert collector.wait(1, patience()) == [1]
+            known: Any = bridge
+            wait(lambda: known._master_health.is_up, "the master was not asked", patience())
+
+            def start_again() -> None:
+                world.kill()
+                world.start()
+
+            for number, go in enumerate(
+                (lambda: peer.do("delete_param", name="/speed"), start_again), 2
+            ):
+                reports = Reports(bridge)
+                go()
+                reports.wait(Health.DEGRADED, "the parameter /speed is not set any more")
+                peer.do("set_param", name="/speed", value=1)
+                reports.wait(Health.OK, "the parameter /speed is set again")
+                assert collector.wait(number, patience()) == [1] * number
+
+
+def test_a_look_that_fails_ends_no_other(master: Master, lasting: Peer) -> None:
+    lasting.do("advertise", topic="/looked_at", type=INT)
+    with bridge_to(master) as bridge:
+        reports, failed = Reports(bridge), threading.Event()
+
+        def fail(_: object) -> None:
+            failed.set()
+            raise ZeroDivisionError
+
+        sources: list[Any] = []
+        for number in range(3):  # before it and behind it, in whatever order they are looked at
+            looked_at = output("/looked_at", INT, component=f"c{number}", stale_after=0.1)
+            sources.append(bridge.open_source(looked_at, ANY, print))
+            if number == 1:
+                sources[1].tick = fail
+        assert failed.wait(patience())
+        for source in (sources[0], sources[2]):
+            wait(partial(is_lost, reports, source), "its silence is not seen", patience())
+
+
+def is_lost(reports: Reports, channel: Channel) -> bool:
+    events = tuple(reports.events)
+    return any(event.channel is channel and event.health is Health.LOST for event in events)
 
 
 def test_a_parameter_that_is_found_twice_was_set_once(tmp_path: Any) -> None:

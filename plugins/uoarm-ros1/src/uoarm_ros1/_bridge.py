@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import TypeVar
 from weakref import WeakSet
@@ -19,6 +20,7 @@ from uoarm.bridge import (
     Description,
     Discovered,
     Handler,
+    LimitedLog,
     ServiceStructures,
     Sink,
     Source,
@@ -53,6 +55,7 @@ from uoarm_ros1._services import Caller, ServedService, probe_service
 from uoarm_ros1._subscription import PublisherHeader
 from uoarm_ros1._types import TypeStore, described_service
 
+_log = logging.getLogger("uoarm.ros1")
 _TICK_SECONDS = 0.25
 _JOIN_SECONDS = 1.0
 _LATELY_SECONDS = 1.0
@@ -85,6 +88,7 @@ class Ros1Bridge(Bridge):
         self._ticking: WeakSet[_Ticking] = WeakSet()
         self._served: WeakSet[ServedService] = WeakSet()
         self._closing = threading.Event()
+        self._records = LimitedLog(_log)
         self._rosout = Rosout(self._node, self._types) if options.rosout else None
         self._clock = Clock(self._node, self._types) if options.use_sim_time else None
         self._watch = threading.Thread(
@@ -291,7 +295,10 @@ class Ros1Bridge(Bridge):
         del structure  # the type is in the address, or its publishers say it
         address, port = address_of(endpoint), port_of(endpoint)
         if address.is_parameter:
-            return self._opened_at(Ros1ParameterSource(self._node, endpoint, address, deliver))
+            parameter = Ros1ParameterSource(
+                self._node, endpoint, address, deliver, self.report_channel
+            )
+            return self._opened_at(parameter)
         topic = self._node.resolve(address.name)
         record = self._seeing(partial(self._record, endpoint, topic, address, port))
         return self._opened_at(Ros1TopicSource(self._place(endpoint, topic, port), record, deliver))
@@ -449,7 +456,8 @@ class Ros1Bridge(Bridge):
         while not self._closing.is_set():
             if time.monotonic() >= next_look:
                 next_look = time.monotonic() + self._options.check
-                self._look_at_master()
+                with self._contained():
+                    self._look_at_master()
             if time.monotonic() >= next_graph:
                 # For a second, and for all: links of hundreds of topics may be those of two nodes.
                 next_graph = (now := time.monotonic()) + _LATELY_SECONDS
@@ -461,18 +469,29 @@ class Ros1Bridge(Bridge):
     def _tick(self, graph: Graph) -> None:
         # Apart from what waits: its frame would keep the last channel, closed or not.
         channels = [channel for channel in tuple(self._ticking) if not channel.closed]
-        with suppress(BridgeError):
+        with self._contained(), suppress(BridgeError):
             links = (channel for channel in channels if isinstance(channel, SameTopic))
             graph.living(node for link in links for node in link.nodes(graph))
         for channel in channels:
-            channel.tick(graph)
+            with self._contained():
+                channel.tick(graph)
+
+    @contextmanager
+    def _contained(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 - one failure ends no other look
+            if not self._closing.is_set():
+                self._records.write(logging.ERROR, "looking after a ROS 1 node failed", error)
 
     def _look_at_master(self) -> None:
         node, health = self._node, self._master_health
         try:
             process = node.master.call("getPid")
             # What was opened since a master was started again is known to it, and nothing else.
-            is_another = self._master_process not in (None, process)
+            # In a container its process has the same number: one that was away is another.
+            before = self._master_process
+            is_another = before is not None and (before != process or not health.is_up)
             if node.is_registered and (is_another or not node.is_known()):
                 node.register_again()
             self._master_process = process

@@ -420,6 +420,7 @@ class SameTopic(Channel):
 
 _INTEGER = {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}
 _ABSENT: Any = {}
+_LOOK: Any = object()
 _DEEP = 16
 
 
@@ -470,17 +471,27 @@ def _schema(value: Any, depth: int) -> Any:
 
 
 class Ros1ParameterSource(Source):
-    """The value of a parameter as it is, and each time that it is set."""
+    """The value of a parameter as it is, and each time that it is set.
+
+    While it is not set any more, since it was deleted or the master was started again without it,
+    the channel is degraded.
+    """
 
     latched = True
 
     def __init__(
-        self, node: Node, endpoint: Endpoint, address: Ros1Address, deliver: Deliver
+        self,
+        node: Node,
+        endpoint: Endpoint,
+        address: Ros1Address,
+        deliver: Deliver,
+        report: Callable[[Channel, Health, str], None],
     ) -> None:
         super().__init__(endpoint)
-        self._node, self._deliver = node, deliver
+        self._node, self._deliver, self._report = node, deliver, report
         self._name = node.resolve(address.name)
         self._received = 0
+        self._is_gone = self._is_looking = False
         # Guards the last value: what the master answers comes in one thread, changes in the loop's.
         self._lock = threading.Lock()
         self._last: Any = _ABSENT
@@ -506,22 +517,45 @@ class Ros1ParameterSource(Source):
         with self._lock:
             if key != self._name:  # one within it: the whole is asked for
                 value = _ABSENT
+            # A new master that has none reports the next one: whether it has come meanwhile is
+            # looked at, and not delivered, or both would bring it.
+            elif not is_set and value == _ABSENT:
+                if not self._is_looking:
+                    self._is_looking = True
+                    self._queue.put(_LOOK)
+                return
             # The bridge's look at the master may register anew between the entry in the node's
-            # table and the first registration: both find the same value, which was set once. A new
-            # master that has none reports the next one: asked for it, both would bring it.
-            elif not is_set and value in (self._last, _ABSENT):
+            # table and the first registration: both find the same value, which was set once.
+            elif not is_set and value == self._last:
                 return
             self._last = value
             self._queue.put(value)
 
     def _hand_on(self, value: Any) -> None:
-        if value == _ABSENT:
+        is_look = value is _LOOK
+        if is_look:
+            self._is_looking = False
+        if is_look or value == _ABSENT:
             try:
                 value = self._node.master.call("getParam", self._name)
-            except BridgeError:
-                return  # it was deleted, or the master is away: the next change will say
+            except BridgeError as error:
+                if error.reason is FailureReason.REFUSED:
+                    self._note_gone()
+                return  # or the master is away: it is looked at again when it is back
+        if is_look:
+            return
+        if self._is_gone:
+            self._is_gone = False
+            self._report(self, Health.OK, f"the parameter {self._name} is set again")
         self._received += 1
         self._deliver(value)
+
+    def _note_gone(self) -> None:
+        with self._lock:
+            self._last = _ABSENT  # the value that it had is news when it is found again
+        if not self._is_gone:
+            self._is_gone = True
+            self._report(self, Health.DEGRADED, f"the parameter {self._name} is not set any more")
 
     def _close(self) -> None:
         self._queue.close()

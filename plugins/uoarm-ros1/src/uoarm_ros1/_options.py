@@ -261,8 +261,10 @@ def _address(parts: tuple[str, ...]) -> Ros1Address:
     if not _NAME.fullmatch(address.name):
         raise ValueError(f"{address.name!r} is not a name of ROS 1 such as /camera/image_raw")
     if len(parts) > 1 and not address.is_parameter and not _TYPE.fullmatch(address.type):
+        meant = re.sub("/(msg|srv)/", "/", re.sub("/action/(.*)", r"/\1Action", address.type))
+        hint = f"; did you mean {meant!r}?" if _TYPE.fullmatch(meant) else ""
         text = f"{address.type!r} is not a type of ROS 1 such as sensor_msgs/Image"
-        raise ValueError(f"{text}, nor `{PARAMETER}`")
+        raise ValueError(f"{text}, nor `{PARAMETER}`{hint}")
     return address
 
 
