@@ -474,5 +474,6 @@ async def test_a_server_that_sends_rubbish_is_left_with_a_plain_error(frame: str
     async with serve(rubbish, "127.0.0.1", 0, subprotocols=protocols) as server:
         port = next(iter(server.sockets)).getsockname()[1]
         async with connect(f"ws://127.0.0.1:{port}", binary=False) as client:
-            with pytest.raises(ConnectionClosedError, match="sent what is no message"):
+            said = f"the server at ws://127.0.0.1:{port} sent what is no message"
+            with pytest.raises(ConnectionClosedError, match=said):
                 await asyncio.wait_for(client.request("numbers"), patience())

@@ -233,7 +233,7 @@ class Link:
         except _STRANGE as error:
             self._is_final = True
             await self._socket.close(CloseCode.PROTOCOL_ERROR)
-            return _strange(error)
+            return self._strange(error)
         self._is_final = self._socket.close_code in _FINAL
         return f"{self.place} closed the connection"
 
@@ -299,7 +299,7 @@ class Link:
                 await asyncio.sleep(self._backoff.pause(failed))
             except _STRANGE as error:
                 self._is_final = True
-                return f"{cause}; {_strange(error)}"
+                return f"{cause}; {self._strange(error)}"
             else:
                 self.trouble = ""
                 return f"{cause}; {refused}" if refused else ""
@@ -353,6 +353,10 @@ class Link:
             self._unanswered.pop(identity, None)
         self._take(received)
 
+    def _strange(self, error: Exception) -> str:
+        text = str(error) if isinstance(error, UoarmError) else text_of(error)
+        return f"{self.place} sent what is no message: {text[:250]}"
+
     async def _write(self, socket: ClientSocket, fields: Mapping[str, Any]) -> None:
         await socket.send(self._form.write(fields), text=self._form.text)
 
@@ -360,8 +364,3 @@ class Link:
 def _timed(identity: str) -> dict[str, Any]:
     """Return a question about the session, by whose time that of commands is known."""
     return {"op": "Resume", "id": identity, "x-sent": boot_seconds()}
-
-
-def _strange(error: Exception) -> str:
-    text = str(error) if isinstance(error, UoarmError) else text_of(error)
-    return f"the server sent what is no message: {text[:250]}"

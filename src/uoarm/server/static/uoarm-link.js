@@ -201,7 +201,7 @@ export class Link {
         try {
           receive(checked(this.#form.read(data), "object", "a message"));
         } catch (error) {
-          const strange = new UoarmError("unreadable", `the server sent what is no message: ${error.message}`);
+          const strange = new UoarmError("unreadable", `${this.#place} sent what is no message: ${error.message}`);
           if (state !== "greeted") fail(strange);
           else {
             socket.onmessage = socket.onclose = null;
