@@ -583,6 +583,24 @@ class TestBroker:
             finally:
                 broker.send_signal(signal.SIGCONT)
 
+    def test_what_waits_for_one_that_says_nothing_is_bounded(self, tmp_path: Path) -> None:
+        with (
+            running(tmp_path / "broker") as broker,
+            bridge_to(broker, max_octets=1000, keepalive=65535) as bridge,
+        ):
+            sink = speak(bridge, "silent", qos=1, content="octets")
+            broker.send_signal(signal.SIGSTOP)
+            try:
+                for _ in range(8):
+                    sink.send(bytes(1000))
+                with pytest.raises(BridgeError, match=r"8 messages of 8,000 octets wait .*backlog"):
+                    sink.send(b"1")
+            finally:
+                broker.send_signal(signal.SIGCONT)
+            assert sink.drain(patience())
+            sink.send(bytes(1000))
+            assert sink.drain(patience())
+
     def test_its_limits_hold_and_its_reason_codes_are_reported(self, tmp_path: Path) -> None:
         lines = "allow_anonymous true\nmax_packet_size 3000\nmax_inflight_messages 3\n"
         with running(tmp_path / "broker", lines) as broker, bridge_to(broker) as bridge:

@@ -42,7 +42,7 @@ def receive_queue(
         f"uoarm-mqtt-{topic}",
         take,
         options.backlog,
-        most_size=8 * options.budget.octets,
+        most_size=options.backlog_octets,
         size=lambda message: len(message.payload),
     )
 
@@ -150,7 +150,7 @@ class MqttSink(Sink):
         # Guards the counters: any thread sends and drains, paho's reports how it ended. It is not
         # held while the link is called, which may report at once.
         self._changed = threading.Condition()
-        self._under_way = self._lost = self._refused = self._undelivered = 0
+        self._under_way = self._size = self._lost = self._refused = self._undelivered = 0
         health = ChannelHealth(topic, time.monotonic())
         self._health = ChannelMonitor(health, partial(report, self))
         link.require_taken(options.qos, retain=options.retain)
@@ -178,30 +178,36 @@ class MqttSink(Sink):
         if self._options.retain and not payload:
             text = "an empty payload would delete the retained message instead of replacing it"
             raise MessageError(text)
+        options, size, limits = self._options, len(payload), self._link.options
         with self._changed:
-            if self._under_way >= self._link.options.backlog:
-                text = f"{self.endpoint}: {self._under_way} messages wait for the broker (backlog)"
+            is_full = self._under_way and self._size + size > limits.backlog_octets
+            if is_full or self._under_way >= limits.backlog:
+                waiting = f"{self._under_way:,} messages of {self._size:,} octets"
+                text = f"{self.endpoint}: {waiting} wait for the broker (backlog)"
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
             self._under_way += 1
+            self._size += size
         more: dict[str, Any] = {"ContentType": CONTENT_TYPES[self._codec.content]}
-        if self._options.expiry:
-            more["MessageExpiryInterval"] = self._options.expiry
+        if options.expiry:
+            more["MessageExpiryInterval"] = options.expiry
+        done = partial(self._done, size)
         try:
-            options = self._options
             self._link.publish(
-                self._topic, payload, self._done, qos=options.qos, retain=options.retain, more=more
+                self._topic, payload, done, qos=options.qos, retain=options.retain, more=more
             )
         except BaseException:
             with self._changed:
                 self._under_way -= 1
+                self._size -= size
             raise
 
     def _close(self) -> None:
         """Nothing is held: what is under way goes its way."""
 
-    def _done(self, outcome: PacketOutcome) -> None:
+    def _done(self, size: int, outcome: PacketOutcome) -> None:
         with self._changed:
             self._under_way -= 1
+            self._size -= size
             self._undelivered += outcome.no_subscribers
             self._lost += bool(outcome.failure) and not outcome.is_answer
             is_refused = bool(outcome.failure) and outcome.is_answer

@@ -99,7 +99,9 @@ class BrokerOptions(BridgeOptions):
         "seconds of a break until it is a loss; the broker is asked to keep QoS 1 and 2 as long",
         unit="s",
     )
-    backlog: int = option(1000, _COUNT, "messages of a channel that may wait, each way")
+    backlog: int = option(
+        1000, _COUNT, "messages of a channel that may wait, each way; 8 times `max_octets` in all"
+    )
     max_octets: int = option(1_048_576, _COUNT, "of one payload")
     max_values: int = option(100_000, _COUNT, "in one payload")
     max_depth: int = option(64, {"type": "integer", "minimum": 1, "maximum": 200}, "of one payload")
@@ -332,6 +334,11 @@ class ConnectionOptions:
     announcement: PresenceAnnouncement | None
     budget: Budget
     backlog: int
+
+    @property
+    def backlog_octets(self) -> int:
+        """Octets of the messages of one channel that may wait."""
+        return 8 * self.budget.octets
 
     @property
     def client_level(self) -> str:
