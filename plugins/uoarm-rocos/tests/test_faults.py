@@ -6,6 +6,7 @@ import math
 import re
 import socket
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
@@ -39,7 +40,7 @@ from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, SimulatedRobot, Tcp
 from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import wait
+from uoarm.testing import Collector, wait
 
 ANY = MessageStructure(True)
 ODOMETRY = endpoint("robot", "odometry")
@@ -376,6 +377,29 @@ def test_data_that_break_the_catalogue_are_dropped_and_shown() -> None:
         [said] = got.unread
         assert said.startswith("the device breaks its catalogue: data of odometry.x: expected a ")
         assert events.queue.empty(), "the core judges by it, not the bridge"
+
+
+def test_what_waits_for_a_slow_receiver_is_bounded_in_octets() -> None:
+    collector = Collector()
+    with (
+        listening() as (listener, port),
+        bridged(robot={"url": f"tcp://127.0.0.1:{port}"}) as (bridge, _),
+        ThreadPoolExecutor(1) as pool,
+        collector.held(),
+    ):
+        opening = pool.submit(bridge.open_source, ODOMETRY, ANY, collector)
+        device = Scripted(listener.accept()[0])
+        with device.connection:
+            device.begin()
+            flow = device.opened()
+            source = opening.result(LIMIT)
+            for seq in range(device.seq, device.seq + 20):
+                written = CODEC.write(DataMessage(seq, flow, GOOD))
+                wide = written.replace(b"</data>", b" " * 1_000_000 + b"</data>")
+                device.connection.sendall(device.framer.frame(wide))
+            wait(lambda: source.facts()["received"] == 20, f"{source.facts()}", LIMIT)
+            # 8 of them wait, and the first may have been delivered before.
+            assert source.facts()["lost_on_link"] in {11, 12}
 
 
 @pytest.mark.parametrize(

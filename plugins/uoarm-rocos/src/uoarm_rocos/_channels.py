@@ -9,7 +9,7 @@ from uoarm.bridge import Channel, ChannelMonitor, Delivery, ReceiveQueue, Sink, 
 from uoarm.model import Message
 from uoarm_rocos._catalogue import Api, Direction
 from uoarm_rocos._device import DeviceFlow, InputFlow
-from uoarm_rocos._framing import WireError
+from uoarm_rocos._framing import TCP_LIMITS, WireError
 from uoarm_rocos._structure import fit, fit_given
 
 F = TypeVar("F", bound=DeviceFlow)
@@ -51,14 +51,18 @@ class SinkChannel(_FlowChannel[InputFlow], Sink):
 
 
 _MOST = 1024
+QueuedDelivery = tuple["QueuedReceiver", Any, int]
+"""A receiver, its message, and how many octets that had on the line."""
 
 
-def delivery_queue(name: str) -> ReceiveQueue[tuple[QueuedReceiver, Any]]:
+def delivery_queue(name: str) -> ReceiveQueue[QueuedDelivery]:
     """Return what hands the messages of one device to its receivers, in a thread of its own."""
     return ReceiveQueue(
         f"uoarm-{name}-deliver",
         lambda delivery: delivery[0].hand_over(delivery[1]),
         _MOST,
+        most_size=8 * TCP_LIMITS.octets,
+        size=lambda delivery: delivery[2],
         dropped=lambda delivery: delivery[0].count_dropped(),
     )
 
@@ -106,8 +110,13 @@ class ProfileFlow:
         self.refused = 0
         self._end = end
 
-    def take(self, message: Mapping[str, Any]) -> None:
-        """Take a message from the line, in its thread; a flow into a device has none to take."""
+    def take(self, message: Mapping[str, Any], octets: int) -> None:
+        """Take a message from the line, in its thread; a flow into a device has none to take.
+
+        Args:
+            message: its values.
+            octets: that it had on the line.
+        """
 
     def facts(self) -> Mapping[str, object]:
         """Return counters for the status."""
@@ -128,7 +137,7 @@ class ProfileOutput(ProfileFlow):
         monitor: ChannelMonitor,
         end: Callable[[ProfileFlow], None],
         deliver: Delivery,
-        queue: ReceiveQueue[tuple[QueuedReceiver, Any]],
+        queue: ReceiveQueue[QueuedDelivery],
     ) -> None:
         super().__init__(api, monitor, end)
         self._receiver = QueuedReceiver(deliver)
@@ -136,16 +145,16 @@ class ProfileOutput(ProfileFlow):
         self._queue = queue
         self._received = 0
 
-    def take(self, message: Mapping[str, Any]) -> None:
+    def take(self, message: Mapping[str, Any], octets: int) -> None:
         """Check a message and hand it on; of a wrong one, what is wrong with it."""
         try:
             values = fit(self.api.output, message, f"data of {self.api.name}")
         except WireError as error:
             why = f"the device breaks its catalogue: {error}"
-            self._queue.put((self._unreadable, why))
+            self._queue.put((self._unreadable, why, octets))
             return
         self._received += 1
-        self._queue.put((self._receiver, values))
+        self._queue.put((self._receiver, values, octets))
         self.monitor.passed()
 
     def facts(self) -> Mapping[str, object]:

@@ -84,6 +84,7 @@ class Conversation:
     Attributes:
         line: set by the owner before the line starts.
         ids: where ids of conversations come from.
+        octets: of the message that the listener is given.
     """
 
     line: DeviceLine
@@ -106,6 +107,7 @@ class Conversation:
         self._watch = HeartbeatWatch(_FIRST_HEARTBEAT, 0.0, 0.0)
         self._refused = self._refused_before = 0
         self._why = ""
+        self.octets = 0
         self._lost_before = self._damaged_before = 0
 
     def send(self, build: Callable[[int], WireMessage], within: float | None = None) -> None:
@@ -208,6 +210,7 @@ class Conversation:
             self._watch.received_at = time.monotonic()
             if not self._asked:
                 self._refused_before = self._refused
+            self.octets = len(frame)
             self._take(message)
 
     def tick(self, now: float) -> None:
@@ -362,7 +365,7 @@ class ProfileDevice(LineDevice):
             flow = self._by_id.get(message.id)
             if flow is not None:
                 flow.refused = self._conversation.refused
-                flow.take(message.values)
+                flow.take(message.values, self._conversation.octets)
         elif isinstance(message, ResultMessage):
             self._answers.give(message.id, message.values)
         elif isinstance(message, OpenMessage):

@@ -390,7 +390,7 @@ class StreamDevice(LineDevice):
         for message in messages:
             for flow in self._flows:
                 flow.monitor.passed()
-                self._deliveries.put((flow.receiver, message))
+                self._deliveries.put((flow.receiver, message, len(data)))
 
     def tick(self, now: float) -> None:
         """Notice silence."""
