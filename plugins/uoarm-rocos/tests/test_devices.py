@@ -11,6 +11,7 @@ from attrs import field, frozen
 from lines import LIMIT, PseudoTerminal, fresh_link
 from rigs import Events, bridged, endpoint, running, unplugged_by
 from uoarm_rocos._catalogue import DeviceCatalogue
+from uoarm_rocos._device import PendingReply
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._options import (
     DRIVERS,
@@ -260,6 +261,25 @@ def test_a_call_ends_without_a_measurement_and_when_the_cable_is_out() -> None:
             device.cut()
             assert "is lost" in failures.get()
             call.join(LIMIT)
+
+
+def test_a_measurement_that_is_acknowledged_as_the_time_is_up_is_the_reply(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with PseudoTerminal() as device:
+        cuff: dict[str, object] = {"driver": "and-ua767pbt", "url": device.path}
+        with bridged(cuff=cuff) as (bridge, _):
+            bridge.describe(PRESSURE)
+            ended = PendingReply.wait
+
+            def wait_too_long(reply: PendingReply, timeout: float) -> bool:
+                monkeypatch.setattr(PendingReply, "wait", ended)
+                device.write(ua767_frame(Measurement(105, 76, 82, 65)))
+                assert device.read(4) == b"PWA1"
+                return False
+
+            monkeypatch.setattr(PendingReply, "wait", wait_too_long)
+            assert bridge.call(PRESSURE, {}, timeout=LIMIT)["systolic"] == 105
 
 
 class DeafTransport(LineTransport):

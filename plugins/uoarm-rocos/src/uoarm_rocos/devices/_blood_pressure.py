@@ -181,10 +181,12 @@ class Monitor(LineDevice):
             self._waiting.append(answer)
         if not answer.wait(max(0.0, timeout - (time.monotonic() - began))):
             with self._state:
-                if answer in self._waiting:
+                is_over = answer in self._waiting
+                if is_over:
                     self._waiting.remove(answer)
-            text = f"{self.name}: no measurement within {timeout:g} s"
-            raise BridgeTimeoutError(text)
+            if is_over:
+                raise BridgeTimeoutError(f"{self.name}: no measurement within {timeout:g} s")
+            answer.wait(-1)  # it was acknowledged meanwhile: the monitor keeps it no more
         return fit(api.output, answer.value(), f"reading of {self.name}")
 
     def _ended(self) -> None:
