@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
-from brokers import Broker
+from brokers import Broker, Peer
 from tests.inbox import health_events, until  # type: ignore[import-not-found]
 from uoarm_mqtt.connection import BrokerConnection
 from uoarm_vda5050.vehicle import Vehicle
@@ -54,6 +55,32 @@ def test_streams_report_what_becomes_of_a_goal(broker: Broker) -> None:
         assert ended["status"] == "succeeded"
         assert reports["status"].wait(2, patience())[1] == {"goal_id": "one", "status": "succeeded"}
         assert reports["feedback"].wait(1, patience())[0]["feedback"]["lastNodeId"] == "a"
+
+
+def test_instant_actions_of_2_0_have_either_name(broker: Broker) -> None:
+    """The document calls the type `actionType`, and the published schema `actionName`."""
+    topic, peer, states = "uagv/v2/uoa/names", Peer(broker), list[Any]()
+    peer.subscribe(f"{topic}/state", lambda item: states.append(json.loads(item.payload)))
+    with Vehicle(broker.url, "uoa", "names", release="2.0"):
+        for number, name in enumerate(
+            ({"actionName": "startPause"}, {"actionType": "stopPause"}, {})
+        ):
+            action = {**name, "actionId": str(number), "blockingType": "NONE"}
+            peer.publish(f"{topic}/instantActions", json.dumps({"actions": [action]}))
+
+        def became() -> list[str]:
+            return [action["actionStatus"] for action in states[-1]["actionStates"]]
+
+        expected = ["FINISHED", "FINISHED", "FAILED"]
+        wait(lambda: states and became() == expected, f"{states[-1:]}", patience())
+    peer.close()
+
+
+def test_a_vehicle_that_cannot_connect_does_not_come_later() -> None:
+    vehicle = Vehicle("mqtt://127.0.0.1:1", "uoa", "away")
+    with pytest.raises(BridgeError, match="refused"), vehicle:
+        pass
+    assert vehicle._broker._client._thread is None
 
 
 def test_a_goal_is_cancelled(broker: Broker) -> None:

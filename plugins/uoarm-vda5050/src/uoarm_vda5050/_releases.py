@@ -295,10 +295,13 @@ def _order(release: VdaRelease) -> _Schema:
 
 
 def _instant_actions(release: VdaRelease) -> _Schema:
-    actions = _list(_action(release))
-    if release.also_named:  # which of the two names it has is not certain
-        return _object({}, {"actions": actions, release.also_named[0]: actions})
-    return _object({"actions": actions})
+    action = _action(release)
+    if not release.also_named:
+        return _object({"actions": _list(action)})
+    whole, name = release.also_named  # which of the two names each has is not certain
+    required = [item for item in action["required"] if item != "actionType"]
+    action = {**action, "properties": {**action["properties"], name: _TEXT}, "required": required}
+    return _object({}, {"actions": _list(action), whole: _list(action)})
 
 
 def _action_state(release: VdaRelease) -> _Schema:

@@ -164,7 +164,8 @@ class VehicleState:
 
     def instant(self, action: Body) -> str:
         """Take an instant action; return its type where the caller is to do something about it."""
-        kind, action_id = action.get("actionType") or action.get("actionName"), action["actionId"]
+        kind = action.get("actionType") or action.get("actionName", "")
+        action_id = action["actionId"]
         if action_id in self._instants:
             return ""
         status = "FINISHED"

@@ -129,7 +129,11 @@ class Vehicle:
         self._broker.close()
 
     def __enter__(self) -> Self:
-        self.open()
+        try:
+            self.open()
+        except BaseException:  # or it would go on trying, and come later
+            self.close()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
