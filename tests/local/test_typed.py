@@ -224,6 +224,17 @@ def test_octets_come_as_what_the_hint_says(kind: Any) -> None:
         assert bytes(read(message)) == b"ab"
 
 
+@pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
+def test_octets_of_a_buffer_are_copied_and_not_listed(kind: Any) -> None:
+    class Picture(np.ndarray):
+        def tolist(self) -> Any:
+            raise AssertionError("a list of a megabyte takes 60 ms")
+
+    read = reader(kind, "here")
+    assert read is not None
+    assert bytes(read(np.array([1, 2], "u1").view(Picture))) == b"\1\2"
+
+
 @pytest.mark.parametrize(
     "hint", [NDArray[np.float32], NDArray[np.int32], bytes, bytearray, memoryview]
 )

@@ -40,7 +40,7 @@ from uoarm._hints.schemas import (
     signature,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Message
+from uoarm.model import Message, octets_of
 
 if TYPE_CHECKING:
     from cattrs import Converter
@@ -396,8 +396,7 @@ def _primitive(value: Any, kind: Any) -> Any:
 def _octets(value: Any, kind: Any) -> Any:
     if isinstance(value, kind) and getattr(value, "itemsize", 1) == 1:
         return value
-    # The numbers of a buffer are octets, whatever their width there.
-    return kind(bytes(value.tolist() if hasattr(value, "tolist") else value))
+    return kind(octets_of(value))
 
 
 def _text(value: Any) -> Any:

@@ -187,6 +187,18 @@ _MOST_DIGITS = 1000
 _MAY_BE_INFINITE = re.compile(r"[eE]\+?\d{3}|\d{300}")
 
 
+def octets_of(value: Any) -> bytes:
+    """Return numbers as octets: of a buffer of wider ones not what is in memory.
+
+    Raises:
+        TypeError: it holds something else.
+        ValueError: a number is no octet.
+    """
+    if hasattr(value, "tolist") and memoryview(value).format != "B":
+        value = value.tolist()
+    return bytes(value)
+
+
 def read_json(text: str | bytes) -> Any:
     """Return the value that JSON text stands for.
 

@@ -17,6 +17,7 @@ from uoarm.model import (
     Message,
     MessageStructure,
     Schema,
+    octets_of,
     read_json,
     scan_json,
 )
@@ -91,7 +92,7 @@ class PayloadCodec:
         if self.content == "octets":
             if isinstance(message, str) or not hasattr(message, "__iter__"):
                 raise TypeError(f"expected octets, got {type(message).__name__}")
-            return _as_octets(message)
+            return octets_of(message)
         if self.content == "text":
             if not isinstance(message, str):
                 raise TypeError(f"expected a text, got {type(message).__name__}")
@@ -199,15 +200,6 @@ def _octets(value: Any) -> Any:
     return bytes(value) if isinstance(value, list) else value
 
 
-def _as_octets(value: Any) -> bytes:
-    """Return the numbers of a buffer or list as octets; of wider ones not what is in memory."""
-    try:
-        view = memoryview(value)
-    except TypeError:
-        return bytes(value)
-    return bytes(view if view.format == "B" else getattr(value, "tolist", view.tolist)())
-
-
 def _integer(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
@@ -238,7 +230,7 @@ def with_topic(inner: MessageStructure) -> MessageStructure:
 def _plain(value: Any) -> Any:
     """What JSON has no form for: octets are texts in base64, arrays are lists."""
     if isinstance(value, bytes | bytearray | memoryview):
-        return base64.b64encode(_as_octets(value)).decode("ascii")
+        return base64.b64encode(octets_of(value)).decode("ascii")
     if callable(listed := getattr(value, "tolist", None)):
         return listed()
     raise TypeError(f"a {type(value).__name__} has no form in JSON")

@@ -13,7 +13,7 @@ import attrs
 
 from uoarm.bridge import Description
 from uoarm.errors import MessageError
-from uoarm.model import MessageStructure
+from uoarm.model import MessageStructure, octets_of
 from uoarm_rocos._catalogue import (
     Api,
     ApiKind,
@@ -209,9 +209,7 @@ def _octets(kind: OctetsField, value: Any) -> bytes:
     if isinstance(value, str | Integral | float | Mapping) or value is None:
         raise _wrong("octets", value)
     try:
-        if hasattr(value, "tolist") and memoryview(value).format != "B":
-            value = value.tolist()  # else `bytes` would take what is in memory
-        octets = bytes(value)
+        octets = octets_of(value)
     except (TypeError, ValueError):
         raise _wrong("octets", value) from None
     if kind.max_length is not None and len(octets) > kind.max_length:
