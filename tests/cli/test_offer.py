@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 from tests.cli.terminal import on_a_terminal
 
-from uoarm.cli import main
+from uoarm import RobotManager
+from uoarm.cli import _run, main
+from uoarm.model import StatusEvent
+from uoarm.testing import Background
 
 PARTS = """
 import threading
@@ -110,3 +115,26 @@ def test_what_fails_is_printed_once_on_a_terminal_and_ending_it_is_no_failure(
     assert "interrupted" not in seen.text
     assert "python:count" in seen.text
     assert seen.text.count("python:text failed") == 1, seen.text
+
+
+def test_it_ends_where_what_reads_its_output_has_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    offers = "offer: {python: {count: {output: {endpoint: ['parts:take']}}}}"
+    (tmp_path / "robot.yaml").write_text(ROBOT.format(offers))
+    printed: list[object] = []
+
+    def echo(text: object) -> None:
+        printed.append(text)
+        if len(printed) > 1:
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    def listen(robot: RobotManager, listener: Callable[[StatusEvent], None]) -> None:
+        listener(StatusEvent(1, 0.0, "offer python:count", "failed", "its consumer has died"))
+
+    monkeypatch.setattr(_run, "echo", echo)
+    monkeypatch.setattr(RobotManager, "listen", listen)
+    words = ["offer", "-f", str(tmp_path / "robot.yaml")]
+    done = Background(lambda: CliRunner().invoke(main, words)).result()
+    assert (done.exit_code, len(printed)) == (1, 2), done.output

@@ -469,22 +469,29 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
 
 def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: bool) -> None:
     """Print each change since these were printed, until the sources of all have finished."""
-    over = threading.Event()
+    over, unwritten = threading.Event(), list[BrokenPipeError]()
     reports = {f"offer {status.name}": (status.state.value, status.cause) for status in statuses}
 
     def print_event(event: StatusEvent) -> None:
-        # What was printed may come as an event only now.
-        if event.subject.startswith("offer ") and reports.pop(event.subject, None) != (
-            event.change,
-            event.cause,
-        ):
-            echo(write_json(to_json(event)) if as_json else event)
-        if _is_over(robot.status().offers):
+        is_over = True
+        try:
+            # What was printed may come as an event only now.
+            if event.subject.startswith("offer ") and reports.pop(event.subject, None) != (
+                event.change,
+                event.cause,
+            ):
+                echo(write_json(to_json(event)) if as_json else event)
+            is_over = _is_over(robot.status().offers)
+        except BrokenPipeError as error:  # what reads it has ended
+            unwritten.append(error)
+        if is_over:
             over.set()
 
     robot.listen(print_event)
     if not _is_over(robot.status().offers):  # before the listener was there
         wait_for(over)
+    if unwritten:
+        raise unwritten[0]
 
 
 def _line(status: OfferStatus) -> str:
