@@ -149,6 +149,17 @@ def test_members_of_unions_are_known_by_their_switch() -> None:
     assert partly["oneOf"][1]["properties"] == {"switch": {"enum": [False]}}
 
 
+def test_types_are_found_beside_operations_that_take_unions() -> None:
+    idl = """module Way {
+      union Goal switch (boolean) { case TRUE: long number; };
+      interface Guide { struct Step { long metres; }; Goal go(in Goal to, out Goal back); };
+    };"""
+    found = Types([idl])
+    assert found.structure("Way::Goal").native_type == "IDL:Way/Goal:1.0"
+    assert found.structure("Way::Guide::Step").native_type == "IDL:Way/Guide/Step:1.0"
+    assert found.interface("Way::Guide::go")[1] == "go"
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_the_checker_understands_the_structure(name: str) -> None:
     schema = types().structure(name).schema

@@ -80,7 +80,8 @@ def descriptors(scope: Any) -> Iterator[tuple[str, Any]]:
     """Yield (repository id, descriptor) of every type in a stub module, and in those within it."""
     for name, value in list(vars(scope).items()):
         if name.startswith(("_d_", "_ad_")):
-            if isinstance(value, tuple) and value[0] in _NAMED_AT:
+            # An operation begins with a tuple of what it takes, in which a union has a dictionary.
+            if isinstance(value, tuple) and isinstance(value[0], int) and value[0] in _NAMED_AT:
                 yield value[_NAMED_AT[value[0]]], value
         elif isinstance(value, ModuleType):
             if value.__name__.startswith(f"{scope.__name__}."):
