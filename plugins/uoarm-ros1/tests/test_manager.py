@@ -274,3 +274,45 @@ def test_the_base_can_see_that_the_host_was_killed(master: Master, lasting: Peer
         lasting.wait_for("writers", lambda count: count == 0, topic=topic)
         wait(lambda: connection.state is ConnectionState.FAILED, "the connection ends")
         assert lasting.do("came", topic=topic) == [FORWARD]
+
+
+FORKED = """
+import os, signal, sys
+from uoarm.bridge import Registry
+from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
+from uoarm.testing import patience
+
+options = {"master": sys.argv[1], "wait": min(patience(), 60)}
+bridge = Registry().create(BridgeSpec("ros", "ros1", options))
+at = [
+    Endpoint("ros", role.value, role, (f"/forked/{role.value}", "std_msgs/Int64"))
+    for role in (Role.INPUT, Role.OUTPUT)
+]
+sink = bridge.open_sink(at[0], MessageStructure(True), timeout=patience())
+source = bridge.open_source(at[1], MessageStructure(True), print, timeout=patience())
+if os.fork():
+    signal.pause()
+print("forked", flush=True)
+os.read(0, 1)  # until the test ends it
+os._exit(0)
+"""
+
+
+def test_a_child_that_is_forked_holds_no_connection(master: Master, lasting: Peer) -> None:
+    """A base sees that its subscription has none any more, whatever the process has forked."""
+    lasting.do("subscribe", topic="/forked/input", type="std_msgs/Int64")
+    lasting.do("advertise", topic="/forked/output", type="std_msgs/Int64")
+    parent = subprocess.Popen(
+        [sys.executable, "-c", FORKED, master.uri], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    try:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == b"forked\n"
+        assert lasting.do("writers", topic="/forked/input") == 1
+        parent.kill()
+        parent.wait()
+        lasting.wait_for("writers", lambda count: count == 0, topic="/forked/input")
+        lasting.wait_for("connections", lambda count: count == 0, topic="/forked/output")
+    finally:
+        parent.kill()
+        parent.communicate()  # closes what the child reads

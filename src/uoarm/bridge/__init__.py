@@ -2,7 +2,7 @@
 
 from uoarm._backoff import Backoff, TurnCounter, Turns
 from uoarm._encodable import shown
-from uoarm._forks import at_exit
+from uoarm._forks import at_exit, close_in_children
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import LimitedLog, foreign, text_of
@@ -91,6 +91,7 @@ __all__ = [
     "asking_managers",
     "at_exit",
     "boot_seconds",
+    "close_in_children",
     "did_you_mean",
     "foreign",
     "hookimpl",

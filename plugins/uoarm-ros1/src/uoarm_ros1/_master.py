@@ -14,6 +14,7 @@ from weakref import WeakValueDictionary
 
 from attrs import field, frozen
 
+from uoarm.bridge import close_in_children
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros1._tcpros import ProtocolError
 from uoarm_ros1._xmlrpc import Fault, HttpReader, decode_reply, encode_call, http_request
@@ -36,6 +37,7 @@ def connect(host: str, port: int, deadline: float) -> socket.socket:
     """
     left = max(0.001, deadline - time.monotonic())
     connection = socket.create_connection((host, port), left)
+    close_in_children(connection)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return connection
 

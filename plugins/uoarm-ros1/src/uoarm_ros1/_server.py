@@ -15,7 +15,7 @@ from contextlib import suppress
 from itertools import count
 from typing import Any
 
-from uoarm.bridge import LimitedLog, TurnCounter, Turns
+from uoarm.bridge import LimitedLog, TurnCounter, Turns, close_in_children
 from uoarm.model import Budget
 from uoarm_ros1._tcpros import ProtocolError, TcprosReader, decode_header
 from uoarm_ros1._xmlrpc import Fault, HttpReader, decode_call, encode_reply, http_reply
@@ -87,6 +87,7 @@ class SocketLoop:
     def add(self, handler: Handler) -> None:
         """Watch a socket, which does not block from now on."""
         handler.socket.setblocking(False)
+        close_in_children(handler.socket)
         self.post(lambda: self._add(handler))
 
     def write(self, handler: Handler) -> None:
