@@ -19,9 +19,9 @@ from plain import plain
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm._compiler import OUR_IDL, load_idl
 from uoarm_rtm._shape import schema_of
-from uoarm_rtm._types import Types, derive
+from uoarm_rtm._types import Types, derive, idl_of
 
-from uoarm.bridge import Registry
+from uoarm.bridge import Registry, ServiceStructures
 from uoarm.config import load
 from uoarm.errors import BridgeError
 from uoarm.model import MessageStructure
@@ -34,6 +34,12 @@ NAMES = [
     "RTC/ActArrayState", "RTC/GPSData", "RTC/Features", "Odd/Mixed", "Odd/Bounded", "Odd/Grid",
     "Odd/Weather", "Odd/Deep", "Odd/Unions",
 ]  # fmt: skip
+
+
+def of(**properties: Any) -> dict[str, Any]:
+    """Return the schema of an object with all of these."""
+    closed = {"required": list(properties), "additionalProperties": False}
+    return {"type": "object", "properties": properties, **closed}
 
 
 @lru_cache
@@ -128,6 +134,17 @@ def test_a_derived_type_has_no_name_of_its_own() -> None:
     structure = MessageStructure({"type": "object", "properties": {"a": {"type": "number"}},
                                   "required": ["a"], "additionalProperties": False})  # fmt: skip
     assert "x-type" not in schema_of(derive("port", structure, is_read=False))
+
+
+@pytest.mark.parametrize("names", ["a_b", "A_b", "a_item"])
+def test_what_is_named_alike_after_its_place_has_names_of_its_own_in_idl(names: str) -> None:
+    numbers, truths = ({"type": "array", "items": {"type": k}} for k in ("number", "boolean"))
+    inner = {"type": "array", "items": numbers} if names == "a_item" else of(b=numbers)
+    structure = MessageStructure(of(**{"a": inner, names: truths}))
+    shape = derive("port", structure, is_read=True)
+    found = Types([idl_of(shape)]).structure(shape.name)
+    assert check(found.schema, structure.schema).compatible
+    Types().derive_interface("port", ServiceStructures(structure, structure))
 
 
 def test_what_is_of_several_types_gives_none() -> None:

@@ -83,10 +83,10 @@ def derive_interface(port: str, structures: ServiceStructures) -> tuple[str, str
         None if structure.schema == _NULL else _exact(structure, is_read=is_read)
         for structure, is_read in ((structures.request, True), (structures.reply, False))
     )
-    name, lines = _name(port, (request, reply)), list[str]()
+    name, lines = _name(port, (request, reply)), dict[str, str]()
     takes = "" if request is None else f"in {_define(request, f'{name}_request', lines)} {REQUEST}"
     gives = "void" if reply is None else _define(reply, f"{name}_reply", lines)
-    lines.append(f"interface {name} {{ {gives} {CALL}({takes}); }};")
+    lines[name.lower()] = f"interface {name} {{ {gives} {CALL}({takes}); }};"
     return _module(lines), f"uoarm/{name}"
 
 
@@ -98,13 +98,13 @@ def is_derived(type_id: str) -> bool:
 def idl_of(record: IdlStruct) -> str:
     """Return the IDL of a derived type, for components that are to be compiled with it."""
     name = record.name.removeprefix(DERIVED).partition(":")[0]
-    lines: list[str] = []
+    lines: dict[str, str] = {}
     _define(record, name, lines)
     return _module(lines)
 
 
-def _module(lines: list[str]) -> str:
-    return "\n".join(["module uoarm {", *(f"  {line}" for line in lines), "};", ""])
+def _module(lines: Mapping[str, str]) -> str:
+    return "\n".join(["module uoarm {", *(f"  {line}" for line in lines.values()), "};", ""])
 
 
 def _name(port: str, shape: object) -> str:
@@ -179,24 +179,36 @@ def _integer(schema: Mapping[str, Any], path: str) -> IdlScalar:
     raise _none(path, "no integer of IDL has 65 bits")
 
 
-def _define(shape: Shape, name: str, lines: list[str]) -> str:
-    """Write what a type rests on, then the type, and return how it is called."""
+def _define(shape: Shape, name: str, lines: dict[str, str]) -> str:
+    """Write what a type rests on, then the type, and return how it is called.
+
+    Lines stand by the names that they declare, in lower case: IDL distinguishes no others.
+    """
     if isinstance(shape, IdlStruct):
         members = [
             f"{_define(field.shape, f'{name}_{field.name}', lines)} _{field.name};"
             for field in shape.fields
         ]
-        lines.append(f"struct {name} {{ {' '.join(members)} }};")
+        name = _undeclared(name, lines)
+        lines[name.lower()] = f"struct {name} {{ {' '.join(members)} }};"
         return name
     if isinstance(shape, IdlSequence):
         of = _define(shape.element, f"{name}_item", lines)
+        name = _undeclared(name, lines)
         if shape.fixed:
-            lines.append(f"typedef {of} {name}[{shape.size}];")
+            lines[name.lower()] = f"typedef {of} {name}[{shape.size}];"
         else:
             bound = "" if shape.size is None else f", {shape.size}"
-            lines.append(f"typedef sequence<{of}{bound}> {name};")
+            lines[name.lower()] = f"typedef sequence<{of}{bound}> {name};"
         return name
     return shape.name if isinstance(shape, IdlScalar) else "string"
+
+
+def _undeclared(name: str, lines: Mapping[str, str]) -> str:
+    """Return a name that no line declares: that of `a_b` is also that of `b` within `a`."""
+    while name.lower() in lines:
+        name += "_"
+    return name
 
 
 def _none(path: str, why: str) -> BridgeError:
