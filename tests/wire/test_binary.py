@@ -304,6 +304,7 @@ class Odd(list[Any]):
         (OrderedDict(wide=2**3073), "3,072 bits"),
         (list(range(2_000_000)), "values"),
         ([{"a": 1}] * 700_000, "values"),
+        (np.zeros(2_000_000, bool), "values"),
         (bytes(LARGEST.octets), "bytes"),
     ],
     ids=lambda item: item if isinstance(item, str) else type(item).__name__,
@@ -325,6 +326,7 @@ def test_what_is_too_much_for_a_client_is_not_written(
         np.zeros((3_000_000, 2), "u1"),
         np.ones(3_000_000, "f2"),
         np.ones((1,) * 40),
+        [np.ones(2), *["abcd"] * 900_000],
     ],
     ids=lambda item: type(item).__name__,
 )

@@ -125,8 +125,9 @@ _LITTLE_TAGS = {
     ("i", 4): 78, ("i", 8): 79, ("f", 4): 85, ("f", 8): 86,
 }  # fmt: skip
 _SIGNS = {"B": "u", "H": "u", "I": "u", "L": "u", "Q": "u", "f": "f", "d": "f"}
+_SCALARS = {type(None), bool, int, float, str}
 _CONTAINERS = {list, dict}
-_KINDS = {type(None), bool, int, float, str, bytes, array, *_CONTAINERS}
+_KINDS = {*_SCALARS, bytes, array, *_CONTAINERS}
 # Tags that the library would turn into dates, fractions, sets, references: no message has them.
 _FOREIGN = (0, 1, 4, 5, 25, 28, 29, 30, 35, 36, 37, 52, 54, 100, 256, 258, 260, 261, 1004, 43000)
 
@@ -145,9 +146,10 @@ def write_binary(message: Message) -> bytes:
             made = b"".join(parts)
         else:
             made = _dumps(message)
-        if len(made) > WRITTEN.elements:  # else each octet may be an item
-            scan_cbor(made, spending := BudgetUse(WRITTEN))
-            spending.octets(len(made))
+        spending = BudgetUse(WRITTEN)
+        spending.octets(len(made))
+        if len(made) > WRITTEN.elements and not _is_few(message):  # else each octet may be an item
+            scan_cbor(made, spending)
     except (cbor2.CBOREncodeError, TypeError, ValueError, RecursionError) as error:
         raise MessageError(f"the message has no form as CBOR: {error}") from error
     return made
@@ -263,6 +265,23 @@ def _dumps(value: Any) -> bytes:
     if not is_plain:
         read_binary(made, BudgetUse(WRITTEN), with_numpy=True)
     return made
+
+
+def _is_few(message: Message) -> bool:
+    """Say quickly whether a message surely holds no more than may be written."""
+    left = WRITTEN.elements
+    waiting: list[Any] = [message]
+    for item in waiting:
+        if isinstance(item, bytes | bytearray | memoryview | array):
+            continue
+        if not isinstance(item, dict | list | tuple):  # it may be written as any number of values
+            return False
+        left -= 2 * len(item)
+        if left < 0:
+            return False
+        values = item.values() if isinstance(item, dict) else item
+        waiting += [value for value in values if value.__class__ not in _SCALARS]
+    return True
 
 
 def _is_flat(value: Any) -> bool:
