@@ -159,7 +159,7 @@ async def test_it_fails_where_reconnecting_is_off(restarting: Restarting) -> Non
     async with joined(restarting, reconnect=0) as client:
         stream = await client.request("numbers")
         await asyncio.to_thread(restarting.stop)
-        with pytest.raises(ConnectionClosedError):
+        with pytest.raises(ConnectionClosedError, match="closed the connection: the server stops"):
             await stream.get()
         assert stream.state == "failed"
         assert stream.cause

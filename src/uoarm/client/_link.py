@@ -235,7 +235,8 @@ class Link:
             await self._socket.close(CloseCode.PROTOCOL_ERROR)
             return self._strange(error)
         self._is_final = self._socket.close_code in _FINAL
-        return f"{self.place} closed the connection"
+        reason = self._socket.close_reason
+        return f"{self.place} closed the connection" + (f": {reason}" if reason else "")
 
     async def _begin_anew(self, cause: str) -> str:
         """Begin another session; returns why that failed, or nothing."""
