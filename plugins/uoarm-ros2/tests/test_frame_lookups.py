@@ -88,6 +88,31 @@ def test_a_frame_is_looked_up_in_another(world: tuple[Bridge, Any, Any]) -> None
     assert report.reply.native_type == "geometry_msgs/msg/TransformStamped"
 
 
+def test_a_clock_that_goes_back_leaves_nothing_of_the_run_before(make_bridge: MakeBridge) -> None:
+    """A step of a few seconds, too, within which frames of then would be the latest ones."""
+    bridge, other = make_bridge("asking", use_sim_time=True), make_bridge("playing")
+    moving = sink(other, endpoint(Role.INPUT, "/tf", TF_MESSAGE, peer="optional", wait=0))
+    clock = sink(other, endpoint(Role.INPUT, "/clock", "rosgraph_msgs/msg/Clock"))
+
+    def latest() -> int:
+        try:
+            return int(look_up(bridge, "map", "base", timeout=0)["header"]["stamp"]["sec"])
+        except BridgeError:
+            return 0
+
+    wait(lambda: not latest() and moving.facts()["matched"] == 1)
+    clock.send({"clock": {"sec": 20, "nanosec": 0}})
+    moving.send(transforms(("map", "base", 20, 1.0)))
+    wait(lambda: latest() == 20)
+
+    def begins_again() -> bool:
+        clock.send({"clock": {"sec": 17, "nanosec": 0}})
+        moving.send(transforms(("map", "base", 17, 2.0)))
+        return latest() == 17
+
+    wait(begins_again, "frames of the run before are the latest")
+
+
 def test_a_look_up_that_waits_goes_on_with_the_first_frame_that_answers_it(
     world: tuple[Bridge, Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -172,6 +172,16 @@ def test_a_simulation_that_starts_again_begins_anew(robot: TransformBuffer) -> N
         robot.lookup("map", "base")
 
 
+def test_of_another_run_what_is_static_stays(robot: TransformBuffer) -> None:
+    robot.take("base", "mast", 0, Transformation(), is_static=True)
+    robot.forget_moving()
+    assert robot.lookup("base", "mast")[0] == 0
+    with pytest.raises(TransformError, match="frame 'map' is not known"):
+        robot.lookup("map", "base")
+    put(robot, "map", "base", 5 * S)
+    assert robot.lookup("map", "mast")[0] == 5 * S
+
+
 def test_frames_and_samples_have_a_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_transforms, "_MOST_FRAMES", 2)
     monkeypatch.setattr(_transforms, "_MOST_SAMPLES", 10)

@@ -238,6 +238,8 @@ class Ros2Bridge(Bridge):
             self._report_component,
         )
         self._lookups = FrameLookups(self._runner, self._graph, self._types.find)
+        if isinstance(self._clock, SimulatedClock):
+            self._clock.begins_again = self._lookups.forget_moving
         self._called: dict[Ros2Address, ServiceClient | Action] = {}
         self._disagreements: dict[str, str] = {}
         self._watched: dict[Channel, Callable[[], None]] = {}

@@ -17,17 +17,24 @@ Report = Callable[[Channel, Health, str], None]
 
 
 class SimulatedClock:
-    """Seconds that `/clock` has counted: they stand while it does, and never go back."""
+    """Seconds that `/clock` has counted: they stand while it does, and never go back.
+
+    Attributes:
+        begins_again: called where it goes back, in the thread that takes its times.
+    """
 
     def __init__(self) -> None:
         self._seconds = 0.0
         self._last: int | None = None
+        self.begins_again: Callable[[], object] = lambda: None
 
     def take(self, nanoseconds: int) -> None:
         """Take a time of the simulation; one that is earlier is that of another run."""
-        if self._last is not None:
-            self._seconds += max(0, nanoseconds - self._last) / 1e9
-        self._last = nanoseconds
+        last, self._last = self._last, nanoseconds
+        if last is not None:
+            self._seconds += max(0, nanoseconds - last) / 1e9
+            if nanoseconds < last:
+                self.begins_again()
 
     def __call__(self) -> float:
         return self._seconds

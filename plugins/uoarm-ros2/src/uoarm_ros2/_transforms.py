@@ -150,6 +150,11 @@ class TransformBuffer:
             longest = max(self._edges.values(), key=lambda item: len(item.stamps))
             self._forget(longest, len(longest.stamps) // 2)
 
+    def forget_moving(self) -> None:
+        """Keep what is static alone, as where another run of a simulation begins."""
+        self._edges = {child: edge for child, edge in self._edges.items() if edge.is_static}
+        self._samples = len(self._edges)
+
     def _mistake(self, parent: str, child: str, transformation: Transformation) -> str:
         if not parent or not child or max(len(parent), len(child)) > _MOST_NAME:
             return f"frames {parent!r:.80} and {child!r:.80} are none"
@@ -340,6 +345,13 @@ class FrameLookups:
         for listener in gone:
             listener.close()
 
+    def forget_moving(self) -> None:
+        """Forget the transforms of `/tf`: another run of the simulation has begun."""
+        with self._lock:
+            listeners = list(self._listeners.values())
+        for listener in listeners:
+            listener.forget_moving()
+
     def close(self) -> None:
         """End all look-ups; those that wait fail."""
         with self._lock:
@@ -412,6 +424,10 @@ class _TransformListener:
         if self._unread:
             reports.append(self._unread)
         return BridgeError("; ".join(reports), FailureReason.NOT_FOUND)
+
+    def forget_moving(self) -> None:
+        with self._changed:
+            self._buffer.forget_moving()
 
     def close(self) -> None:
         with self._changed:
