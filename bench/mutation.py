@@ -62,7 +62,9 @@ SUBJECTS = {
         ),
         "not sizes and not hostile",
     ),
-    "adapt": Subject("src/uoarm/_adapt", ("tests/adapt/test_*.py",), "not hostile"),
+    "adapt": Subject(
+        "src/uoarm/_adapt", ("tests/adapt/test_*.py", "tests/meaning/test_judge.py"), "not hostile"
+    ),
     "meaning": Subject("src/uoarm/_meaning", ("tests/meaning/test_*.py",), "not without_pint"),
     "control": Subject(
         "src/uoarm/_control/engine",

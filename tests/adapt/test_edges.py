@@ -368,6 +368,16 @@ def test_a_machine_that_has_other_work_takes_nothing_from_a_suggestion(
     assert "{from: celsius, scale: 1.8, offset: 32}" in found.suggestion
 
 
+def test_a_field_that_is_not_required_may_stay_without_a_source() -> None:
+    text = {
+        "type": "object",
+        "properties": {"b": {"type": "string"}},
+        "additionalProperties": False,
+    }
+    (reason,) = check_edge(structure(a=NUMBER), MessageStructure(text)).reasons
+    assert reason.suggestion == "map: {}\nallow_loss: [a]"
+
+
 def test_nothing_is_suggested_where_nothing_fits() -> None:
     verdict = check_edge(structure(a={"type": "string"}), structure(b=INT))
     assert verdict.reasons[0].suggestion == ""
@@ -454,11 +464,41 @@ def test_an_enum_map_must_name_every_value() -> None:
     assert "'RUN'" in verdict.reasons[0].sentence
 
 
+@pytest.mark.parametrize(
+    ("rule", "path", "said"),
+    [
+        ("data.x", "data.x", "there is no field 'x'; there is none"),
+        ("all.x", "all.x", "a choice of structures"),
+        ({"each": "pair", "map": {"x": "."}}, "pair", "all of one structure"),
+        ({"each": "pose", "map": {"x": "."}}, "pose", "all of one structure"),
+        ({"from": "pose.x", "enum": {"1": 2}}, "pose.x", "a known set of values"),
+        ({"from": "same", "enum": {"1": 2, "true": 3}}, "same", "True from its equal"),
+        ({"from": "any", "scale": 2}, "any", "says nothing of this field"),
+        ({"from": "all", "scale": 2}, "all", "need a number"),
+    ],
+)
+def test_what_a_map_cannot_take_is_refused_at_its_place(rule: Any, path: str, said: str) -> None:
+    pair = {"type": "array", "prefixItems": [INT], "items": INT}
+    both = {"type": "object", "properties": {"x": INT}, "required": ["x"], "allOf": [{}]}
+    more = {"pair": pair, "all": both, "same": {"enum": [1, True]}, "any": True}
+    producer = MessageStructure({**SOURCE, "properties": {**SOURCE["properties"], **more}})
+    (reason,) = check_edge(producer, MessageStructure(ANY), {"a": rule}).reasons
+    assert (reason.path, said in reason.sentence) == (path, True)
+
+
+def test_a_field_within_a_field_is_filled_there() -> None:
+    made = adapt(parse({"at.x": "range", "b.c.d": {"const": 1}}), SOURCE, ANY)
+    assert made.make({"range": 0.5}) == {"at": {"x": 0.5}, "b": {"c": {"d": 1}}}
+
+
 def test_every_mistake_of_a_mapping_is_reported() -> None:
     with pytest.raises(MappingError) as caught:
         parse({"a": {"form": "x"}, "b": {"const": 1, "scale": 2}, "c": 7, "d": "x", "d.e": "y"})
     for part in ("'form'", "const stands alone", "map.c", "fill the same field"):
         assert part in str(caught.value)
+    for rule in ({"each": "x", "map": 7}, {"each": "x", "map": {}, "scale": 2}):
+        with pytest.raises(MappingError, match="each needs map"):
+            parse({"a": rule})
 
 
 def test_buffers_are_not_copied_and_scale_as_buffers() -> None:
