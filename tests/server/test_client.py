@@ -143,6 +143,18 @@ async def test_a_message_that_is_too_much_is_lost_and_nothing_else(
 
 
 @FORMS
+async def test_what_is_too_much_for_the_server_has_an_answer(server: Server, binary: bool) -> None:
+    deep: Any = 1
+    for _ in range(100):
+        deep = [deep]
+    async with joined(server, binary=binary, answer=patience()) as client:
+        for message, why in (([0] * 600_000, "500,000 values"), (deep, "nest")):
+            with pytest.raises(ServerError, match=why) as caught:
+                await client.call("anything", {"value": message, "id": "1"}, timeout=patience())
+            assert caught.value.code == "unreadable"
+
+
+@FORMS
 async def test_messages_are_sent_in_order(server: Server, binary: bool) -> None:
     async with joined(server, binary=binary) as client:
         async with await client.request("echo") as echo:

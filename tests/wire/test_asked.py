@@ -129,3 +129,30 @@ def test_data_is_an_ordinary_control_message(form: Form) -> None:
     assert read == {"op": "Data", "type": "c1", "x-number": 7, "jsonMessage": message}
     schema = {**protocol_schema(), "$ref": "#/$defs/server.Data"}
     Draft202012Validator(schema).validate(read)
+
+
+@pytest.mark.parametrize(
+    ("text", "identity"),
+    [
+        ('{"op":"Call","jsonMessage":[[1]],"id":"12"}', "12"),
+        ('{"op":"Call","jsonMessage":[[1] , "id" : "12" } ', "12"),
+        ('{"jsonMessage":{"id":"12"}}', None),
+        ('{"jsonMessage":"\\"id\\":\\"12"}', None),
+        ('{"id":"12","op":"Call"}', None),
+        ('{"id":12}', None),
+        (f'{{"id":"{"x" * 300}"}}', None),
+        ("", None),
+    ],
+)
+def test_the_id_is_found_at_the_end_of_what_cannot_be_read(text: str, identity: str | None) -> None:
+    assert TEXT_FORM.last_id(text) == identity
+    assert BINARY_FORM.last_id(text) is None
+    assert TEXT_FORM.last_id(text.encode()) is None
+
+
+@pytest.mark.parametrize("identity", ["1", "x" * 24, "\u00e9" * 128, 12, ["1"], {"a": "1"}])
+def test_the_id_is_found_at_the_end_of_cbor_that_cannot_be_read(identity: object) -> None:
+    frame = BINARY_FORM.write({"op": "Call", "jsonMessage": {"id": "2"}, "id": identity})
+    assert BINARY_FORM.last_id(frame) == (identity if isinstance(identity, str) else None)
+    assert BINARY_FORM.last_id(frame[:-1]) is None
+    assert BINARY_FORM.last_id(BINARY_FORM.write({"id": "2", "op": "Call"})) is None

@@ -111,6 +111,8 @@ _PLAIN = (
 _MAX_BITS = 3072
 _MULTIPLE_DIMENSIONS = 40
 _HALF = 2  # octets of a float
+_ID = b"\x62id"
+_LONGEST_ID = 600  # octets of 128 characters, and of what stands before them
 _UUID_HEAD = b"\xd8\x25\x50"
 _AS_TEXT = datetime, date, UUID, time, Enum
 # Tag to (typecode, big-endian): the numbers of RFC 8746, section 2.1, of sizes that `array` has.
@@ -226,6 +228,18 @@ def _cut(data: Octets) -> tuple[Octets, dict[int, Any]]:
         return data, {}
     parts.append(view[kept:])
     return b"".join(parts), {_CUT_TAG: lambda number, _: bytes(octets[number])}
+
+
+def last_id(data: Octets) -> str | None:
+    """Return the `id` with which a message ends that cannot be read; None: it ends otherwise."""
+    place = data.rfind(_ID, max(0, len(data) - _LONGEST_ID))
+    if place < 0:
+        return None
+    try:
+        identity = read_binary(data[place + len(_ID) :], BudgetUse(Budget()))
+    except ControlMessageError:
+        return None
+    return identity if isinstance(identity, str) else None
 
 
 def join_list(parts: Sequence[bytes]) -> bytes:

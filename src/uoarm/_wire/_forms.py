@@ -17,9 +17,11 @@ from uoarm._wire._binary import (
     decoding_octets,
     join_list,
     join_map,
+    last_id,
     read_binary,
     write_binary,
 )
+from uoarm._wire._text import last_id as last_text_id
 from uoarm._wire._text import read_text, write_text, write_text_parts
 from uoarm._wire._text_schema import make_reader, text_schema
 from uoarm.errors import ControlMessageError, MessageError
@@ -100,6 +102,10 @@ class Form(ABC):
         """
 
     @abstractmethod
+    def last_id(self, frame: str | bytes) -> str | None:
+        """Return the id with which a frame ends that cannot be read; None: it ends otherwise."""
+
+    @abstractmethod
     def decoding_octets(self, frame: str | bytes) -> int:
         """Return how many octets of a frame take time to read; quick to say."""
 
@@ -145,6 +151,9 @@ class _TextForm(Form):
             )
         return _fields(read_text(frame, spending))
 
+    def last_id(self, frame: str | bytes) -> str | None:
+        return last_text_id(frame) if isinstance(frame, str) else None
+
     def decoding_octets(self, frame: str | bytes) -> int:
         return len(frame)
 
@@ -183,6 +192,9 @@ class _BinaryForm(Form):
                 f"a text frame: expected CBOR; offer {TEXT_FORM.subprotocol} for JSON"
             )
         return _fields(read_binary(frame, spending, with_numpy=with_numpy))
+
+    def last_id(self, frame: str | bytes) -> str | None:
+        return None if isinstance(frame, str) else last_id(frame)
 
     def decoding_octets(self, frame: str | bytes) -> int:
         return 0 if isinstance(frame, str) else decoding_octets(frame)

@@ -76,6 +76,8 @@ def _in_one_piece(value: Any) -> Any:
     return value if view.c_contiguous else view.tobytes()
 
 
+_LAST_ID = re.compile(r'"id"\s*:\s*"([^"\\]+)"\s*}\s*\Z')
+_LONGEST_ID = 200
 _WIDE, _BELOW = b"0" * 20, b"-" + b"0" * 19
 
 
@@ -96,6 +98,12 @@ def read_text(text: str, spending: BudgetUse) -> Any:
     except ValueError as error:
         raise ControlMessageError(f"not JSON: {error}") from error
     return value
+
+
+def last_id(text: str) -> str | None:
+    """Return the `id` with which a message ends that cannot be read; None: it ends otherwise."""
+    found = _LAST_ID.search(text, max(0, len(text) - _LONGEST_ID))
+    return found and found[1]
 
 
 def _has_wide(text: str) -> bool:

@@ -182,8 +182,9 @@ class NativeSession:
             if not isinstance(error, ControlMessageError):
                 text = f"a message of client {self._client.identity}"
                 self._shared.records.write(logging.ERROR, text, error)
-            failure = without_frames(error)
-            return functools.partial(self._fail, salvage_id(fields), "", failure), 0
+            # Of what is too much to be read, as of too many values, who asked waits for an answer.
+            identity = salvage_id(fields or {"id": self._form.last_id(frame)})
+            return functools.partial(self._fail, identity, "", without_frames(error)), 0
         return functools.partial(self._handle, asked), message_octets(asked.jsonMessage)
 
     def _handle(self, asked: ControlMessage) -> None:
