@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import signal
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -466,8 +468,43 @@ class TestServices:
             assert not calls._is_open, "the next call says why no reply can come"
 
 
+FORKED = """
+import os, signal, sys
+from uoarm.bridge import Registry
+from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
+from uoarm.testing import patience
+
+presence = {"topic": "forked/there"}
+options = {"url": sys.argv[1], "presence": presence, "keepalive": 65535}
+bridge = Registry().create(BridgeSpec("mqtt", "mqtt", options))
+said = Endpoint("mqtt", "said", Role.INPUT, ("forked/said",))
+sink = bridge.open_sink(said, MessageStructure(True), timeout=patience())
+if os.fork():
+    signal.pause()
+print("forked", flush=True)
+os.read(0, 1)  # until the test ends it
+os._exit(0)
+"""
+
+
 class TestBroker:
     """The broker killed, silent, hostile, and what a bridge may not do."""
+
+    def test_a_child_that_is_forked_keeps_back_no_last_will(
+        self, broker: Broker, peer: Peer
+    ) -> None:
+        came = peer.collect("forked/there")
+        words = [sys.executable, "-c", FORKED, broker.url]
+        parent = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        try:
+            assert parent.stdout is not None
+            assert parent.stdout.readline() == b"forked\n"
+            parent.kill()
+            parent.wait()
+            wait(lambda: [item.payload for item in came] == [b"online", b"offline"], "no will")
+        finally:
+            parent.kill()
+            parent.communicate()  # closes what the child reads
 
     def test_killed_and_back_counts_and_resumes(self, tmp_path: Path) -> None:
         lines = f"allow_anonymous true\npersistence true\npersistence_location {tmp_path}/\n"

@@ -20,7 +20,15 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from uoarm.bridge import Backoff, Disconnection, LimitedLog, foreign, text_of, tls_fault
+from uoarm.bridge import (
+    Backoff,
+    Disconnection,
+    LimitedLog,
+    close_in_children,
+    foreign,
+    text_of,
+    tls_fault,
+)
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
 from uoarm_mqtt._client import MOST_IN_FLIGHT, BrokerClient, reason_text
@@ -120,7 +128,7 @@ class BrokerConnection:
         client.reconnect_delay_set(_BACKOFF.first, _BACKOFF.most)  # type: ignore[arg-type]
         client.when_ended = self._on_ended
         client.most_octets = options.budget.octets + _ROOM_FOR_TOPIC
-        client.on_socket_open = _send_at_once
+        client.on_socket_open = _prepare
         client.on_connect = self._on_connect
         client.on_connect_fail = self._on_connect_fail
         client.on_disconnect = self._on_disconnect
@@ -554,7 +562,11 @@ def properties(packet: str, **values: Any) -> Properties:
     return made
 
 
-def _send_at_once(client: Client, user: Any, opened: Any) -> None:
-    """Have the system send small packets at once, instead of up to 40 ms later."""
+def _prepare(client: Client, user: Any, opened: Any) -> None:
+    """Have small packets sent at once, instead of up to 40 ms later, and no child hold the socket.
+
+    The broker publishes the last will once no process has it.
+    """
     del client, user
+    close_in_children(opened)
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

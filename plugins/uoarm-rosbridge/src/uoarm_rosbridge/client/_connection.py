@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 
-from uoarm.bridge import Backoff, Disconnection, redirection, tls_fault
+from uoarm.bridge import Backoff, Disconnection, close_in_children, redirection, tls_fault
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -407,6 +407,7 @@ class ServerConnection:
             try:
                 access = self._read_access()
                 with self._connect(access) as socket:
+                    close_in_children(socket.socket)
                     begun = time.monotonic()
                     self._begin(socket, access)
                     cause, final = self._read(socket)
