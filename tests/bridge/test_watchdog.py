@@ -5,8 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
+from tests.processes import run_python
 
 from uoarm.bridge import HealthEvent, Sink, _watchdog
 from uoarm.bridge._watchdog import Watchdog
@@ -300,3 +302,33 @@ def test_commands_expire_by_a_clock_that_is_not_set_and_that_goes_on_in_a_suspen
     wait(lambda: taken == [GO, STOP])
     watchdog.close()
     assert set(asked) == {time.CLOCK_BOOTTIME}
+
+
+PROGRAM = """
+from uoarm import RobotManager
+from uoarm.config import loads
+
+robot = RobotManager(loads('''
+version: 1
+bridges: {python: {options: {path: ["."]}}}
+functions:
+  drive:
+    components:
+      - name: base
+        bridge: python
+        input: {endpoint: ["parts:base"], lifetime: 3600, stop: {message: 0}}
+'''))
+connection = robot.request("drive")
+connection.send(5)
+connection.flush(FLUSH)
+"""
+
+
+@pytest.mark.parametrize("end", ["", "raise SystemExit", "1 / 0", "robot.close()"])
+def test_what_moves_is_stopped_once_as_its_program_ends(tmp_path: Path, end: str) -> None:
+    (tmp_path / "parts.py").write_text(
+        "def base(speed: int) -> None:\n    print(speed, flush=True)\n", encoding="utf-8"
+    )
+    program = PROGRAM.replace("FLUSH", str(patience())) + end
+    done = run_python("-c", program, cwd=tmp_path)
+    assert (done.stdout, done.returncode) == ("5\n0\n", end == "1 / 0"), done.stderr

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar, final
 
-from uoarm._forks import generation
+from uoarm._forks import at_exit, generation
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import Gate, translated
@@ -228,6 +228,7 @@ class Sink(Channel):
     default_queue: QueuePolicy = QueuePolicy()
     parallel: bool = False
     _watchdog: Watchdog | None = None
+    _forget_exit: Callable[[], None] | None = None
 
     def __init__(
         self,
@@ -283,6 +284,7 @@ class Sink(Channel):
                 name,
                 parallel=self.parallel,
                 report_stop=report_stop,
+                report_first=self._stop_at_exit,
             )
 
     def hold(self, timeout: float) -> CommandStatus | None:
@@ -319,7 +321,13 @@ class Sink(Channel):
         del report
         return False
 
+    def _stop_at_exit(self) -> None:
+        # For a program that ends without closing: no thread would be left to stop what moves.
+        self._forget_exit = at_exit(self._before_close)
+
     def _before_close(self) -> None:
+        if self._forget_exit is not None:
+            self._forget_exit()
         if self._watchdog is not None and self._watchdog.close():
             self.drain(_LAST_SECONDS)  # the stop may be in a buffer, which would go with the link
 

@@ -262,6 +262,7 @@ class Watchdog:
             the stop waits for a `send` that does not return.
         report_stop: called when a stop was not taken, with the cause; with an empty text when one
             was taken again.
+        report_first: called before the first command is sent; returns at once.
         clock: seconds.
     """
 
@@ -273,11 +274,13 @@ class Watchdog:
         *,
         parallel: bool = False,
         report_stop: Callable[[str], None] = lambda _: None,
+        report_first: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = boot_seconds,
     ) -> None:
         self._send = send
         self._name = name
         self._report_stop = report_stop
+        self._report_first = report_first
         self._clock = clock
         self._stop = policy.stop
         self._state = CommandState(policy, clock())
@@ -387,6 +390,7 @@ class Watchdog:
             name = f"uoarm-watchdog-{self._name}"
             thread = threading.Thread(target=self._watch, name=name, daemon=True)
             thread.start()
+            self._report_first()
             self._thread = thread
         self._changed.notify_all()
 
