@@ -63,6 +63,7 @@ FORMS: list[dict[str, Any]] = [
     },
     {
         **_REST,
+        "x-unit": "m",
         "properties": {
             **_REST["properties"],
             "pose": {**_REST["properties"]["pose"], "$anchor": "pose"},

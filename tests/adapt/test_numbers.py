@@ -52,7 +52,6 @@ def columns(draw: st.DrawFn) -> tuple[dict[str, Any], Any]:
 
 
 @given(columns(), RULES)
-@example(({"type": "integer"}, np.array([255], "uint8")), {"from": "a", "clamp": [0, 300]})
 def test_an_array_of_numpy_gives_what_a_list_gives(
     column: tuple[dict[str, Any], Any], rule: dict[str, Any]
 ) -> None:

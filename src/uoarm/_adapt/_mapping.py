@@ -17,6 +17,7 @@ from uoarm.schema import follow, portable
 Path: TypeAlias = "tuple[str, ...]"
 
 _MAX_DEPTH = 16
+_ANCHORS = ("$anchor", "$dynamicAnchor")
 _KEYS = {"from", "const", "scale", "offset", "enum", "each", "map", "default", "clamp"}
 
 
@@ -237,7 +238,11 @@ def kind_of(schema: Mapping[str, Any]) -> Any:
 def within(around: Mapping[str, Any], schema: Any) -> Any:
     """Return the schema of a part, with the meaning that is said around it."""
     said = tuple((key, around[key]) for key in INHERITED if key in around)
-    return {**schema, AROUND: said} if said and isinstance(schema, Mapping) else schema
+    if not said or not isinstance(schema, Mapping):
+        return schema
+    # An anchor names one place: the definition that references lead to, and not this copy of it.
+    own = {key: value for key, value in schema.items() if key not in _ANCHORS}
+    return {**own, AROUND: said}
 
 
 @frozen
