@@ -57,7 +57,7 @@ def test_it_is_refused_and_the_session_goes_on(
             client.socket.send(frame)
         client.send(op="call_service", service="/rosapi/get_time", id="last")
         received = [client.receive() for _ in range(2)]
-    assert [answer["op"] for answer in received] == ["status", "service_response"]
+    assert received[0].get("level") == "error" or received[0]["result"] is False
     assert received[-1]["result"] is True
     assert all(len(json.dumps(answer)) < 600 for answer in received)
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from ros import Enter, Ros, Serve, end, url
 from tests.server.robot import END, script  # type: ignore[import-not-found]
 from tests.server.talk import eventually, opened  # type: ignore[import-not-found]
-from uoarm_rosbridge._wire import Fragments
+from uoarm_rosbridge._wire import Fragments, first_fields
 
 from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
@@ -728,3 +728,45 @@ def test_pieces_find_no_room_where_others_and_their_sender_have_too_much(serve: 
                 reports = client.receive()
         assert "holds as much as it may" in reports["msg"]
         assert other.call("/rosapi/get_time")
+
+
+@pytest.mark.parametrize(
+    ("op", "kind", "answer"),
+    [
+        ("call_service", "service", "service_response"),
+        ("send_action_goal", "action", "action_result"),
+    ],
+)
+def test_a_call_that_is_too_much_to_be_read_has_its_answer(
+    enter: Enter, op: str, kind: str, answer: str
+) -> None:
+    client = enter()
+    client.send(op=op, id="call:1", **{kind: "/uoarm/add"}, args={"a": [0] * 600_000})
+    failed = client.receive()
+    assert (failed["op"], failed["id"], failed[kind]) == (answer, "call:1", "/uoarm/add")
+    assert failed["result"] is False
+    assert "500,000 values" in failed["values"]
+
+
+@pytest.mark.parametrize(
+    ("frame", "fields"),
+    [
+        (
+            '{"op":"publish","id":3 , "topic" : "/é","msg":[[',
+            {"op": "publish", "id": 3, "topic": "/é"},
+        ),
+        ('{"op":"a\\\\u0041","id":"1"}', {}),
+        ('{"op":1.5,"id":"1"}', {}),
+        ('{"op":1e5,"id":"1"}', {}),
+        ('{"op":true,"id":"1"}', {}),
+        ('{"msg":{"op":"call_service"', {}),
+        ('{"op":"' + "x" * 2_000 + '"}', {}),
+        ('{"op":"a\nb"}', {}),
+        ("", {}),
+        (b'{"op":"publish"}', {}),
+    ],
+)
+def test_what_cannot_be_read_has_its_first_fields(
+    frame: str | bytes, fields: dict[str, object]
+) -> None:
+    assert first_fields(frame) == fields

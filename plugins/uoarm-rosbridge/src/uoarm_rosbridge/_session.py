@@ -39,6 +39,7 @@ from uoarm_rosbridge._types import reader_of
 from uoarm_rosbridge._wire import (
     Fragments,
     check_fields,
+    first_fields,
     fragment_size,
     identity_of,
     read_operation,
@@ -256,6 +257,8 @@ class RosbridgeSession:
             if not isinstance(error, ControlMessageError):
                 text = f"a message of client {self._client.identity}"
                 self._records.write(logging.ERROR, text, error)
+            # Of what is too much to be read, as of too many values, who calls waits for an answer.
+            fields = fields or first_fields(frame)
             return functools.partial(self._fail, fields, without_frames(error)), 0
         return functools.partial(self._handle, whole), message_octets(whole)
 

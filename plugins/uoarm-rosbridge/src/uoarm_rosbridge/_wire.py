@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import struct
 import threading
 import time
@@ -32,6 +33,10 @@ _MOST = 2**31 - 1
 _MAX_TEXT = 1024
 _MAX_NUMBER = 2**63
 _NANOSECONDS = 1_000_000_000
+_FIRST = 16  # fields that are looked at in what cannot be read
+_FIELD = re.compile(
+    r'\s*[{,]\s*"(\w{1,40})"\s*:\s*("[^"\\\x00-\x1f]{0,1024}"|0|[1-9]\d{0,14})(?=\s*[,}])'
+)
 
 
 def read_operation(frame: str | bytes, spending: BudgetUse) -> dict[str, Any]:
@@ -45,6 +50,22 @@ def read_operation(frame: str | bytes, spending: BudgetUse) -> dict[str, Any]:
     fields = read_text(frame, spending)
     if not isinstance(fields, dict):
         raise ControlMessageError(f"expected an object, got {type(fields).__name__}")
+    return fields
+
+
+def first_fields(frame: str | bytes) -> dict[str, Any]:
+    """Return the fields with which a message begins that cannot be read: texts and numbers.
+
+    Clients write `op`, `id` and the name of the service before the arguments.
+    """
+    fields: dict[str, Any] = {}
+    place = 0
+    for _ in range(_FIRST):
+        found = _FIELD.match(frame, place) if isinstance(frame, str) else None
+        if found is None:
+            break
+        fields[found[1]] = orjson.loads(found[2])
+        place = found.end()
     return fields
 
 
