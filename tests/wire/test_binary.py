@@ -185,6 +185,17 @@ def test_a_picture_of_numpy_is_one_value() -> None:
     assert spending.elements == 1
 
 
+def test_a_picture_is_octets_without_numpy_where_lists_would_be_too_much(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    picture = np.ones((1080, 1920, 3), np.uint8)
+    data = write_binary({"picture": picture, "depth": picture.astype("f4")})
+    monkeypatch.setitem(sys.modules, "numpy", None)
+    got = read_binary(data, BudgetUse(LARGEST), with_numpy=True)
+    assert got["picture"] == picture.tobytes()
+    assert got["depth"] == array("f", [1.0]) * picture.size
+
+
 def test_rows_are_lists_without_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     data = write_binary(np.arange(6, dtype="f4").reshape(2, 3))
     monkeypatch.setitem(sys.modules, "numpy", None)

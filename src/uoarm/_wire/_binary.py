@@ -164,7 +164,8 @@ def read_binary(data: Octets, spending: BudgetUse, *, with_numpy: bool = False) 
         data: the CBOR.
         spending: what it may cost.
         with_numpy: whether arrays of several dimensions are numpy's, read-only, where that is
-            installed, in place of lists in lists. Such an array counts as one value.
+            installed, in place of lists in lists. Such an array counts as one value. Where it is
+            not, and lists would be too many values, the array comes as it is, in one dimension.
 
     Raises:
         ControlMessageError: it is not CBOR, holds a tag or a simple value that no message has, or
@@ -469,6 +470,8 @@ class _ItemDecoders:
         try:
             self._spending.add(rows + len(items))
         except ControlMessageError as error:
+            if self._with_numpy:
+                return items
             to_do = "send one without dimensions, or octets, which count as one value"
             text = f"{error}, as each of an array of {len(sizes)} dimensions counts: {to_do}"
             raise ControlMessageError(text) from None
