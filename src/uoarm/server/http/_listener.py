@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from uoarm._forks import close_in_children
+
 _log = logging.getLogger("uoarm.server")
 _EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 _ABSENT = frozenset({errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT})
@@ -71,7 +73,7 @@ class ListeningSocket(socket.socket):
             raise BlockingIOError(errno.EAGAIN, "others have their turn first")
         self._accepted += 1
         try:
-            return super().accept()
+            connection, place = super().accept()
         except OSError as error:
             self._accepted = 0
             if error.errno not in _EXHAUSTED:
@@ -80,6 +82,8 @@ class ListeningSocket(socket.socket):
             self._failed = True
             self._log(error)
             raise NoRoomError(error.errno, error.strerror) from error
+        close_in_children(connection)
+        return connection, place
 
     def _log(self, error: OSError) -> None:
         if self._clock() < self._silent_till:
@@ -136,6 +140,7 @@ def _bound(listener: ListeningSocket, address: tuple[Any, ...]) -> ListeningSock
         listener.bind(address)
         listener.setblocking(False)
         listener.listen(BACKLOG)
+        close_in_children(listener)
     except BaseException:
         listener.close()
         raise
