@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 import termios
 import threading
 import time
@@ -189,3 +191,36 @@ def test_a_device_that_takes_nothing_is_a_line_error(monkeypatch: pytest.MonkeyP
 def flood(write: Callable[[bytes], None]) -> None:
     for _ in range(1000):
         write(bytes(100_000))
+
+
+FORKED = """
+import os, signal, sys
+from uoarm_rocos._options import LineOptions
+from uoarm_rocos._transport import transport_for
+
+transport = transport_for(sys.argv[1], LineOptions())()
+transport.open(60)
+if os.fork():
+    signal.pause()
+print("forked", flush=True)
+os.read(0, 1)  # until the test ends it
+os._exit(0)
+"""
+
+
+def test_a_child_that_is_forked_holds_no_line_of_its_parent() -> None:
+    """A device that serves one at a time serves the next."""
+    with socket.create_server(("127.0.0.1", 0)) as device:
+        words = [sys.executable, "-c", FORKED, f"tcp://127.0.0.1:{device.getsockname()[1]}"]
+        parent = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        try:
+            assert parent.stdout is not None
+            assert parent.stdout.readline() == b"forked\n"
+            with device.accept()[0] as line:
+                parent.kill()
+                parent.wait()
+                line.settimeout(LIMIT)
+                assert line.recv(1) == b""
+        finally:
+            parent.kill()
+            parent.communicate()  # closes what the child reads

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import serial
 
-from uoarm.bridge import text_of
+from uoarm.bridge import close_in_children, text_of
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._options import LineOptions, tcp_address
 
@@ -97,6 +97,7 @@ class TcpTransport(LineTransport):
             self._reader = socket.create_connection(self._address, timeout)
             self._reader.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._writer = self._reader.dup()
+            close_in_children(self._reader, self._writer)
             self._reader.settimeout(TICK_SECONDS)
             self._writer.settimeout(_WRITE_SECONDS)
         except _FAILURES as error:
