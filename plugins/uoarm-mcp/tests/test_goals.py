@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ from agents import Agents
 from components import script
 
 from uoarm import RobotManager
-from uoarm.testing import wait
+from uoarm.testing import patience, wait
 
 
 def began(agents: Agents) -> str:
@@ -58,6 +59,22 @@ def test_a_cancellation_reaches_the_action_and_the_end_is_reported_once(agents: 
     assert ended["first_report"] is True
     assert script.came == [{"value": 99}, {"goal_id": "1"}]
     assert agents.facts("goal_status", {"handle": handle})["first_report"] is False
+
+
+def test_a_request_that_is_cancelled_cancels_what_it_began(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uoarm_mcp._actions._AT_ONCE_SECONDS", patience())
+    client = agents.client("agent", "legacy")
+
+    async def give_up() -> None:
+        asked = asyncio.ensure_future(client.call_tool("walk", {"value": 99}))
+        await asyncio.to_thread(wait, lambda: script.came == [{"value": 99}], "it is begun")
+        asked.cancel()
+        await asyncio.wait({asked})
+
+    agents.run(give_up())
+    wait(lambda: {"goal_id": "1"} in script.came, "the action is cancelled")
 
 
 def test_what_an_agent_began_is_cancelled_when_its_rights_end(

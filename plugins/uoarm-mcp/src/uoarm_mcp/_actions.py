@@ -226,6 +226,7 @@ class AgentActions:
         self._streams = streams
         self._goals = goals
         self._approvals = backend.approvals
+        self._cancelling: set[asyncio.Future[bool]] = set()
 
     @property
     def _view(self) -> RoleView:
@@ -297,7 +298,16 @@ class AgentActions:
     ) -> CallToolResult:
         self._goals.check_room()
         self._goals.start(goal, work, lambda text: self._view.text(text, goal.function))
-        await within(_AT_ONCE_SECONDS, goal.done)
+        try:
+            await within(_AT_ONCE_SECONDS, goal.done)
+        except asyncio.CancelledError:  # by the request, whose client has no handle to cancel it
+            if not goal.is_cancelled:
+                cancelling = asyncio.ensure_future(
+                    self._backend.in_worker(partial(self._goals.cancel, goal))
+                )
+                self._cancelling.add(cancelling)
+                cancelling.add_done_callback(self._cancelling.discard)
+            raise
         return self._goal_result(goal)
 
     async def _call(
