@@ -27,6 +27,7 @@ from uoarm.server.front_end import (
 
 _read = partial(read_message, TEXT_FORM)
 _IDLE_SECONDS = 30.0
+_AGAIN_SECONDS = 2.0
 _MOST_OPEN = 64
 _MOST_OCTETS = 8_388_608
 
@@ -69,6 +70,7 @@ class HeldStream:
         self.feed = feed
         self.newest: Envelope | None = None
         self.end = ""
+        self.has_failed = False
         self.users = 0
         self.is_left = False
         self.timer: asyncio.TimerHandle | None = None
@@ -92,8 +94,11 @@ class HeldStream:
     def ended(self, state: str, cause: str) -> None:
         """Take in that no more will come."""
         self.end = f"{state}: {cause}" if cause else state
+        self.has_failed = state == "failed"
         for collector in self.collectors:
             collector.full.set()
+        for watcher in tuple(self.watchers.values()):
+            watcher()
         self._on_end()
 
     def release(self) -> None:
@@ -118,6 +123,8 @@ class AgentStreams:
         self._holder = holder
         self._held: dict[FeedKey, HeldStream] = {}
         self._opening: dict[FeedKey, asyncio.Task[HeldStream]] = {}
+        self._watched: dict[object, HeldStream] = {}  # by the token of who watches it
+        self._again: set[asyncio.Task[None]] = set()
         self._closed = False
 
     @property
@@ -191,18 +198,46 @@ class AgentStreams:
             self.give_back(key, held)
 
     async def watch(self, name: str, notify: Callable[[], None]) -> Callable[[], None]:
-        """Have something called with each message of an output; returns what ends that."""
+        """Have something called with each message of an output; returns what ends that.
+
+        It is called with the end as well, after which one that failed is watched again as soon as
+        it can be had.
+        """
         key, token = FeedKey(name, ValidationMode.ALWAYS), object()
         held = await self.take(key)
-        held.watchers[token] = notify
-        if held.newest is not None:
-            notify()
+        self._begin_watch(token, held, notify)
+        self._follow(key, held)  # it may have ended since it was opened
 
         def end() -> None:
-            if held.watchers.pop(token, None) is not None:
+            held = self._watched.pop(token, None)
+            if held is not None:
+                del held.watchers[token]
                 self.give_back(key, held)
 
         return end
+
+    def _begin_watch(self, token: object, held: HeldStream, notify: Callable[[], None]) -> None:
+        self._watched[token] = held
+        held.watchers[token] = notify
+        if held.newest is not None or held.end:
+            notify()
+
+    async def _watch_again(self, key: FeedKey, ended: HeldStream) -> None:
+        while ended.watchers and not self._closed:
+            await asyncio.sleep(_AGAIN_SECONDS)
+            try:
+                held = await self.take(key)
+            except UoarmError:
+                continue  # it cannot be had yet
+            if held.has_failed:  # again, before it was watched
+                self.give_back(key, held)
+                continue
+            for token, notify in ended.watchers.items():
+                held.users += 1
+                self._begin_watch(token, held, notify)
+                self.give_back(key, ended)
+            ended.watchers.clear()
+            self.give_back(key, held)
 
     def stop_own(self) -> list[str]:
         """Stop every input that the agent has sent to; returns which."""
@@ -222,8 +257,8 @@ class AgentStreams:
     def close(self) -> None:
         """Close everything. Idempotent."""
         self._closed = True
-        for opening in self._opening.values():
-            opening.cancel()
+        for task in (*self._opening.values(), *self._again):
+            task.cancel()
         for key in list(self._held):
             self._leave(key, self._held[key])
 
@@ -296,20 +331,27 @@ class AgentStreams:
             self._backend.leave(feed)
             raise ConnectionClosedError("the agent's rights have ended")
         charge = self._account.charge(MemoryUse.DATA, 0)
-        held = HeldStream(feed, charge, lambda: self._forget(key))
+        held = HeldStream(feed, charge, lambda: self._ended(key, held))
         self._held[key] = held
         if first is not None:
             held.collectors.add(first)
         feed.add(held)
         return held
 
-    def _forget(self, key: FeedKey) -> None:
-        """Have the next use open it anew: it has ended."""
-        held = self._held.get(key)
-        if held is not None and not held.users:
+    def _ended(self, key: FeedKey, held: HeldStream) -> None:
+        """Have the next use open it anew; what is watched has one, where it has failed."""
+        if not held.users:
             self._leave(key, held)
-        else:
-            self._held.pop(key, None)
+            return
+        self._held.pop(key, None)
+        self._follow(key, held)
+
+    def _follow(self, key: FeedKey, ended: HeldStream) -> None:
+        """Watch again what has failed, where it is watched."""
+        if ended.watchers and ended.has_failed:
+            again = asyncio.ensure_future(self._watch_again(key, ended))
+            self._again.add(again)
+            again.add_done_callback(self._again.discard)
 
     def _make_room(self) -> None:
         idle = next((key for key, held in self._held.items() if not held.users), None)
