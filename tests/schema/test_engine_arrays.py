@@ -59,3 +59,10 @@ def test_equal_and_distinct_items_beside_a_length(length: int) -> None:
     assert check({**short, **distinct}, {"not": {**distinct, "minItems": 1}}).compatible == (
         length == 0
     )
+
+
+@pytest.mark.parametrize("size", [0, 1, 3])
+def test_an_array_that_is_excluded_excludes_none_that_begins_as_it_does(size: int) -> None:
+    ones = {"type": "array", "items": {"const": 1}, "minItems": size, "maxItems": max(size, 2)}
+    verdict = check({"allOf": [ones]}, {"const": [1, 1]})
+    assert verdict.counterexample == [1] * size
