@@ -148,10 +148,11 @@ def write_binary(message: Message) -> bytes:
             made = b"".join(parts)
         else:
             made = _dumps(message)
-        spending = BudgetUse(WRITTEN)
-        spending.octets(len(made))
-        if len(made) > WRITTEN.elements and not _is_few(message):  # else each octet may be an item
-            scan_cbor(made, spending)
+        if len(made) > WRITTEN.elements:  # what has no more octets than that has no more values
+            spending = BudgetUse(WRITTEN)
+            spending.octets(len(made))
+            if not _is_few(message):
+                scan_cbor(made, spending)
     except (cbor2.CBOREncodeError, TypeError, ValueError, RecursionError) as error:
         raise MessageError(f"the message has no form as CBOR: {error}") from error
     return made
@@ -270,12 +271,12 @@ def _dumps(value: Any) -> bytes:
     others: list[Any] = []
     is_plain = False  # neither deeper nor wider than that writer takes, which no reader refuses
     with suppress(TypeError, cbor2.CBOREncodeError):
-        orjson.dumps(value, default=others.append, option=_PLAIN)
-        is_plain = all(map(_is_flat, others))
+        orjson.dumps(value, others.append, _PLAIN)
         if not others:
             made = cbor2.dumps(value)
             if _UUID_HEAD not in made:  # of what that writer takes, all else that no message has
                 return made
+        is_plain = all(map(_is_flat, others))
     made = cbor2.dumps(value, encoders=_ENCODERS, default=_encode_other)
     if not is_plain:
         read_binary(made, BudgetUse(WRITTEN), with_numpy=True)
@@ -303,7 +304,7 @@ def _is_flat(value: Any) -> bool:
     """Say whether there is nothing in a value that could be nested, or a wide integer."""
     if isinstance(value, bytes | bytearray | memoryview | array | str | float | date):
         return True
-    return hasattr(value, "__array_interface__") and value.dtype.kind != "O"
+    return getattr(getattr(value, "dtype", None), "kind", "O") != "O"
 
 
 def _has_large(message: Mapping[str, Any], levels: int) -> bool:

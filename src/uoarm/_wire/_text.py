@@ -166,10 +166,11 @@ def write_text_parts(message: Message, most: Budget | None = None) -> list[bytes
         # orjson writes NaN as null and refuses wide integers: then look at what is to be written.
         if b"null" in skeleton:
             skeleton, parts = dump_parts(_exact(message), _write_other, _OPTIONS)
-        if most is not None:
+        octets = sum(map(len, parts))
+        if most is not None and octets > min(most.octets, most.elements):
             spending = BudgetUse(most)
-            spending.octets(sum(map(len, parts)))
-            if len(skeleton) > most.elements:  # else each octet may be a value
+            spending.octets(octets)
+            if len(skeleton) > most.elements:
                 scan_json(skeleton.decode(), spending)
     except (TypeError, ValueError, RecursionError) as error:
         raise MessageError(f"the message has no form as JSON text: {error}") from error
