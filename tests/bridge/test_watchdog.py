@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -332,3 +333,14 @@ def test_what_moves_is_stopped_once_as_its_program_ends(tmp_path: Path, end: str
     program = PROGRAM.replace("FLUSH", str(patience())) + end
     done = run_python("-c", program, cwd=tmp_path)
     assert (done.stdout, done.returncode) == ("5\n0\n", end == "1 / 0"), done.stderr
+
+
+def test_inputs_that_are_opened_again_and_again_have_one_place_at_the_end(base: Base) -> None:
+    """The interpreter keeps the places of what it lets go of, and looks at all of them."""
+    before = atexit._ncallbacks()  # type: ignore[attr-defined]
+    for _ in range(5):
+        sink = base.open_sink(ENDPOINT, ANY)
+        sink.send(GO)
+        sink.close()
+    assert base.taken == 5 * [GO, STOP]
+    assert atexit._ncallbacks() == before + 1  # type: ignore[attr-defined]

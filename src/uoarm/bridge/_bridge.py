@@ -29,6 +29,7 @@ from uoarm.bridge._steps import (
     HealthEvent,
     ServiceStructures,
 )
+from uoarm.bridge._watchdog import ExitStops
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import (
     Deliver,
@@ -94,6 +95,7 @@ class Bridge(BridgeSteps):
         self._early: HealthEvent | None = None
         self._was_watched = False
         self._pending_calls = CallsUnderWay()
+        self._exit_stops = ExitStops()
 
     @final
     @property
@@ -217,7 +219,7 @@ class Bridge(BridgeSteps):
                 health = Health.DEGRADED if cause else Health.OK
                 self.report(health, cause or "its stop message was taken", channel=sink)
 
-            sink.guard(report_stop)
+            sink.guard(report_stop, self._exit_stops)
         return sink
 
     @final
@@ -380,6 +382,7 @@ class Bridge(BridgeSteps):
         try:
             self._close_all(timeout)
         finally:
+            self._exit_stops.close()
             with self._channels_changed:
                 self._is_over = True
                 self._channels_changed.notify_all()

@@ -12,11 +12,11 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar, final
 
-from uoarm._forks import at_exit, generation
+from uoarm._forks import generation
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import Gate, translated
-from uoarm.bridge._watchdog import Watchdog
+from uoarm.bridge._watchdog import ExitStops, Watchdog
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import CommandStatus, Endpoint, Message, QueuePolicy
 
@@ -228,7 +228,7 @@ class Sink(Channel):
     default_queue: QueuePolicy = QueuePolicy()
     parallel: bool = False
     _watchdog: Watchdog | None = None
-    _forget_exit: Callable[[], None] | None = None
+    _exit_stops: ExitStops | None = None
 
     def __init__(
         self,
@@ -270,12 +270,14 @@ class Sink(Channel):
             self._watchdog.send(message, age)
 
     @final
-    def guard(self, report_stop: Callable[[str], None]) -> None:
+    def guard(self, report_stop: Callable[[str], None], exit_stops: ExitStops) -> None:
         """Keep to the endpoint's command policy from now on; called once, by the core.
 
         Args:
             report_stop: called with why a stop message was not taken, and without when one was.
+            exit_stops: what its bridge stops where the program ends without closing.
         """
+        self._exit_stops = exit_stops
         if self.endpoint.command is not None:
             name = f"{self.endpoint.component}.{self.endpoint.port}"
             self._watchdog = Watchdog(
@@ -284,7 +286,7 @@ class Sink(Channel):
                 name,
                 parallel=self.parallel,
                 report_stop=report_stop,
-                report_first=self._stop_at_exit,
+                report_first=lambda: exit_stops.add(self._before_close),
             )
 
     def hold(self, timeout: float) -> CommandStatus | None:
@@ -321,13 +323,9 @@ class Sink(Channel):
         del report
         return False
 
-    def _stop_at_exit(self) -> None:
-        # For a program that ends without closing: no thread would be left to stop what moves.
-        self._forget_exit = at_exit(self._before_close)
-
     def _before_close(self) -> None:
-        if self._forget_exit is not None:
-            self._forget_exit()
+        if self._exit_stops is not None:
+            self._exit_stops.discard(self._before_close)
         if self._watchdog is not None and self._watchdog.close():
             self.drain(_LAST_SECONDS)  # the stop may be in a buffer, which would go with the link
 

@@ -15,10 +15,12 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from numbers import Real
+from typing import final
 
 from attrs import frozen
 
 from uoarm._backoff import Backoff
+from uoarm._forks import at_exit
 from uoarm._raised import LimitedLog, foreign, text_of
 from uoarm.errors import CommandRefusedError
 from uoarm.model import CommandPhase, CommandPolicy, CommandStatus, FieldLimit, Message
@@ -447,3 +449,45 @@ class Watchdog:
         self._records.write(logging.ERROR, f"{self._name} did not take its stop message: {cause}")
         if not was_failing:
             self._report_stop(f"its stop message was not taken: {cause}")
+
+
+@final
+class ExitStops:
+    """What is stopped where a program ends without closing: the moving inputs of one bridge.
+
+    They are registered together, with the first command: what the framework registered for its end
+    came before, and runs later. `atexit` keeps the place of all that it was ever given, so one for
+    each input would be one for each time that it was opened. Thread safe.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._stops: dict[Callable[[], object], None] = {}
+        self._forget: Callable[[], None] | None = None
+
+    def add(self, stop: Callable[[], object]) -> None:
+        """Have this called as the interpreter ends."""
+        with self._lock:
+            self._stops[stop] = None
+            if self._forget is None:
+                self._forget = at_exit(self._stop_all)
+
+    def discard(self, stop: Callable[[], object]) -> None:
+        """Do without it: it was called. Idempotent."""
+        with self._lock:
+            self._stops.pop(stop, None)
+
+    def close(self) -> None:
+        """Let go of the interpreter's end. Idempotent."""
+        with self._lock:
+            forget, self._forget = self._forget, None
+        if forget is not None:
+            forget()
+
+    def _stop_all(self) -> None:
+        for stop in tuple(self._stops):
+            try:
+                foreign(stop)
+            except Exception as error:  # noqa: BLE001 - the others must be stopped, too
+                text = "what moves was not stopped as its program ended"
+                LimitedLog(_log).write(logging.ERROR, text, error)
