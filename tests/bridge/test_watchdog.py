@@ -6,13 +6,14 @@ import atexit
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 from tests.processes import run_python
 
 from uoarm.bridge import HealthEvent, Sink, _watchdog
-from uoarm.bridge._watchdog import Watchdog
+from uoarm.bridge._watchdog import ExitStops, Watchdog
 from uoarm.errors import BridgeTimeoutError, CommandRefusedError
 from uoarm.model import (
     CommandPhase,
@@ -345,3 +346,13 @@ def test_inputs_that_are_opened_again_and_again_have_one_place_at_the_end(base: 
         places.append(atexit._ncallbacks())
     assert base.taken == 5 * [GO, STOP]
     assert len(set(places)) == 1, places
+
+
+def test_as_a_program_ends_no_stop_waits_for_another() -> None:
+    stops, calls = ExitStops(), list[str]()
+    for name in ("a", "b"):
+        stops.add(partial(calls.append, f"begin {name}"), partial(calls.append, f"end {name}"))
+    stops.add(lambda: 1 / 0, lambda: 1 / 0)
+    stops._stop_all()
+    assert calls == ["begin a", "begin b", "end a", "end b"]
+    stops.close()

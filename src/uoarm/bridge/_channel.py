@@ -286,7 +286,7 @@ class Sink(Channel):
                 name,
                 parallel=self.parallel,
                 report_stop=report_stop,
-                report_first=lambda: exit_stops.add(self._before_close),
+                report_first=lambda: exit_stops.add(lambda: self.hold(0.0), self._before_close),
             )
 
     def hold(self, timeout: float) -> CommandStatus | None:

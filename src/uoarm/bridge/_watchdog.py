@@ -462,20 +462,25 @@ class ExitStops:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._stops: dict[Callable[[], object], None] = {}
+        self._stops: dict[Callable[[], object], Callable[[], object]] = {}
         self._forget: Callable[[], None] | None = None
 
-    def add(self, stop: Callable[[], object]) -> None:
-        """Have this called as the interpreter ends."""
+    def add(self, begin: Callable[[], object], end: Callable[[], object]) -> None:
+        """Have an input stopped as the interpreter ends.
+
+        Args:
+            begin: has the stop sent; returns at once.
+            end: waits for it.
+        """
         with self._lock:
-            self._stops[stop] = None
+            self._stops[end] = begin
             if self._forget is None:
                 self._forget = at_exit(self._stop_all)
 
-    def discard(self, stop: Callable[[], object]) -> None:
-        """Do without it: it was called. Idempotent."""
+    def discard(self, end: Callable[[], object]) -> None:
+        """Do without an input: it was stopped. Idempotent."""
         with self._lock:
-            self._stops.pop(stop, None)
+            self._stops.pop(end, None)
 
     def close(self) -> None:
         """Let go of the interpreter's end. Idempotent."""
@@ -485,9 +490,11 @@ class ExitStops:
             forget()
 
     def _stop_all(self) -> None:
-        for stop in tuple(self._stops):
+        stops = tuple(self._stops.items())
+        # All of them first: none waits for one whose component hangs.
+        for call in (*(begin for _, begin in stops), *(end for end, _ in stops)):
             try:
-                foreign(stop)
+                foreign(call)
             except Exception as error:  # noqa: BLE001 - the others must be stopped, too
                 text = "what moves was not stopped as its program ended"
                 LimitedLog(_log).write(logging.ERROR, text, error)
