@@ -217,6 +217,16 @@ class EmergencyStop:
                 del self._calls[call]
             call.ended.set()
 
+    def begin_close(self) -> None:
+        """Have every input of this process stopped, and take no more; waits for nothing.
+
+        Before what they belong to is closed, one after another: no stop waits for what hangs.
+        """
+        with self._lock:
+            sinks = self._open_sinks()
+        for sink, _ in sinks:
+            sink.begin_close()
+
     def stop(self, timeout: float) -> StopReport:
         """Stop everything; say what came of it. Blocks for `timeout` seconds at most."""
         with self._lock:

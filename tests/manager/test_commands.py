@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from uoarm import RobotManager
-from uoarm.bridge import Registry
+from uoarm.bridge import Registry, Sink
+from uoarm.bridge._watchdog import Watchdog
 from uoarm.config import loads
 from uoarm.errors import ResolutionError
-from uoarm.model import CommandPhase, CommandStatus
+from uoarm.model import CommandPhase, CommandStatus, Endpoint, MessageStructure
 from uoarm.testing import MemoryBridge, wait
 
 SPEED = {
@@ -134,3 +135,54 @@ def test_a_lifetime_shorter_than_the_senders_period_is_warned_of_with_both(
     with robot(memory, settings, ", expect: {rate: 5}") as manager:
         (warning,) = manager.resolve("drive").warnings
         assert "commands live for 0.1 s, and the next one comes after 0.2 s" in warning
+
+
+class Kept(MemoryBridge):
+    """Knows the inputs that were opened."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sinks: list[Sink] = []
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        self.sinks.append(super()._open_sink(endpoint, structure))
+        return self.sinks[-1]
+
+
+INPUT = "{endpoint: [base], lifetime: 3600, stop: {message: {v: 0.0}}}"
+MOVING = f"""
+version: 1
+bridges: {{memory: {{plugin: python}}}}
+functions:
+  drive:
+    components:
+      - {{name: base, bridge: memory, inputs: {{left: {INPUT}, right: {INPUT}, lift: {INPUT}}}}}
+  grip: {{components: [{{name: arm, bridge: memory, inputs: {{arm: {INPUT}}}}}]}}
+"""
+
+
+@pytest.mark.parametrize("end", ["connection", "bridge", "manager"])
+def test_no_stop_waits_for_another_input(end: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is given time for a component that hangs: all have their stop before one is closed."""
+    memory, moving = Kept(), list[set[str]]()
+    memory.taker("base", SPEED)
+    close = Watchdog.close
+
+    def look_and_close(watchdog: Watchdog) -> bool:
+        commands = {sink.endpoint.port: sink.command_status() for sink in memory.sinks}
+        moving.append({port for port, command in commands.items() if is_moving(command)})
+        return close(watchdog)
+
+    monkeypatch.setattr(Watchdog, "close", look_and_close)
+    with RobotManager(loads(MOVING), registry=Registry(()), bridges={"memory": memory}) as manager:
+        drive, grip = manager.request("drive"), manager.request("grip")
+        for port in ("left", "right", "lift"):
+            drive.send(GO, port)
+        grip.send(GO, "arm")
+        wait(lambda: all(is_moving(sink.command_status()) for sink in memory.sinks))
+        {"connection": drive.kill, "bridge": memory.close, "manager": manager.close}[end]()
+        assert moving[0] == ({"arm"} if end == "connection" else set())
+
+
+def is_moving(command: CommandStatus | None) -> bool:
+    return command is not None and command.phase is CommandPhase.MOVING

@@ -466,6 +466,7 @@ class RobotManager(RobotView):
         with Uninterrupted():
             if self._driver.is_foreign:
                 return
+            self._driver.live.emergency_stop.begin_close()
             self._unobserve()
             for recording in tuple(self._recordings.values()):
                 recording.close()

@@ -336,6 +336,11 @@ class LiveComponent:
             except Exception as error:  # noqa: BLE001 - the others are drained all the same
                 _log.warning("%s: draining failed: %s", channel.endpoint, text_of(error))
 
+    def begin_close(self) -> None:
+        """Have every input that moves something stopped, and take no more; waits for nothing."""
+        for sink in tuple(self._sinks.values()):
+            sink.begin_close()
+
     def close(self) -> None:
         """Close every channel; failures are logged. Bounded in time.
 

@@ -396,7 +396,11 @@ class Bridge(BridgeSteps):
                     deadlines.run(step, timeout, self._pending_calls.cancel_all)
             except BridgeError as error:
                 failures.append(error)
-        for channel in tuple(self._open):
+        channels = tuple(self._open)
+        for channel in channels:
+            if isinstance(channel, Sink):
+                channel.begin_close()
+        for channel in channels:
             try:
                 channel.close(timeout=timeout)
             except BridgeError as error:

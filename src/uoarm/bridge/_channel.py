@@ -286,7 +286,7 @@ class Sink(Channel):
                 name,
                 parallel=self.parallel,
                 report_stop=report_stop,
-                report_first=lambda: exit_stops.add(lambda: self.hold(0.0), self._before_close),
+                report_first=lambda: exit_stops.add(self.begin_close, self._before_close),
             )
 
     def hold(self, timeout: float) -> CommandStatus | None:
@@ -304,6 +304,15 @@ class Sink(Channel):
         Returns what came of it; None for an input that moves nothing.
         """
         return None if self._watchdog is None else self._watchdog.halt(timeout)
+
+    @final
+    def begin_close(self) -> None:
+        """Let no command through any more, and have what moves stopped; for the core.
+
+        Waits for nothing: where several are closed, no stop waits for a component that hangs.
+        """
+        if self._watchdog is not None:
+            self._watchdog.begin_close()
 
     def release(self) -> None:
         """Let commands through again; for the core."""

@@ -336,6 +336,13 @@ class Watchdog:
         with self._changed:
             return self._state.status(self._clock())
 
+    def begin_close(self) -> None:
+        """Let nothing more through, and have what moves stopped; waits for nothing."""
+        with self._changed:
+            self._state.close(self._clock())
+            if not self._is_at_rest():
+                self._wake()
+
     def close(self) -> bool:
         """Let nothing more through, and stop what moves.
 
@@ -344,9 +351,8 @@ class Watchdog:
         yet.
         """
         with self._changed:
-            self._state.close(self._clock())
+            self.begin_close()
             if not self._is_at_rest():
-                self._wake()
                 # On a busy machine the half second is over before the thread has begun.
                 self._changed.wait_for(self._has_begun, _BEGIN_SECONDS)
                 self._changed.wait_for(self._is_at_rest, _LAST_SECONDS)

@@ -543,6 +543,8 @@ class LiveParts:
         for joined in ending.edges:
             joined.close()
         for live in ending.components:
+            live.begin_close()
+        for live in ending.components:
             live.close()
         self._leaving.settle(ending.components)
         self._bridges.retire_replaced(self.uses)
