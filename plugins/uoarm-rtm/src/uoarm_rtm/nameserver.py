@@ -124,7 +124,7 @@ def _start(command: tuple[str, ...]) -> subprocess.Popen[bytes]:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
-        except OSError as error:
+        except Exception as error:  # noqa: BLE001 - raised where it is waited for
             started.put(error)
         else:
             started.put(process)
