@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -83,6 +84,10 @@ threading.Thread(target=lambda: asyncio.run(work())).start()
 """
 
 
+@pytest.mark.skipif(
+    (3, 12) <= sys.version_info < (3, 12, 3),
+    reason="these start no thread once the main thread has ended (python/cpython#113964)",
+)
 def test_a_thread_goes_on_with_all_when_the_main_thread_has_ended(folder: Path) -> None:
     assert run(folder, OUTLIVES) == ["1", "2", "3", "4", "True", "1", "closed"]
 

@@ -286,7 +286,8 @@ class WorkerExecutor(ThreadPoolExecutor):
     """A pool of workers where an executor is wanted; an event loop takes this class as its default.
 
     It goes on when the main thread has ended and others of the application live on, which other
-    executors do not, and the interpreter does not wait for a call that hangs.
+    executors do not, and the interpreter does not wait for a call that hangs. (CPython 3.12.0 to
+    3.12.2 start no thread then: python/cpython#113964.)
 
     Args:
         name: of the threads.
