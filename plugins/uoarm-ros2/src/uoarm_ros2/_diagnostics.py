@@ -200,10 +200,11 @@ class EntryHealth:
         if self.is_awaited(now):
             # Neither work nor a report each time that it is asked for, whatever arrays come.
             if now - self._missing_at > self._timeout:
-                last = did_you_mean(self._name, self._names)
-                if self._last is not None:
-                    last = f"; the last: {self._last}"
-                self._missing = f"no entry {self._name!r} for {self._timeout:g} s{last}"
+                if self._last is None:
+                    more = did_you_mean(self._name, self._names)
+                else:
+                    more = f"; the last: {self._last}"
+                self._missing = f"no entry {self._name!r} for {self._timeout:g} s{more}"
                 self._missing_at = now
             return Health.DEGRADED, self._missing
         return None if self._last is None else (self._last.health, self._text)
