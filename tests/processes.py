@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from typing_extensions import Self
+
 from uoarm.testing import patience
 
 _LAST_OCTETS = 4000
@@ -49,6 +51,52 @@ def run_python(
 ) -> subprocess.CompletedProcess[str]:
     """Run this interpreter, as `run_program` does."""
     return run_program(sys.executable, *words, cwd=cwd, env=env, check=check)
+
+
+class ForkedProgram:
+    """Python code that forks once it has run, as a context; its child lives until the end of that.
+
+    Args:
+        code: run before; may read what is written, and print lines.
+        words: its arguments.
+    """
+
+    def __init__(self, code: str, *words: str) -> None:
+        command = (sys.executable, "-c", code + _FORK, *words)
+        pipe = subprocess.PIPE
+        self._parent = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+
+    def read(self) -> str:
+        """Return the next line that it prints; the last is `forked`."""
+        assert self._parent.stdout is not None
+        return self._parent.stdout.readline().rstrip("\n")
+
+    def write(self, line: str) -> None:
+        assert self._parent.stdin is not None
+        self._parent.stdin.write(f"{line}\n")
+        self._parent.stdin.flush()
+
+    def kill_parent(self) -> None:
+        """Kill the parent, and return when it is gone."""
+        self._parent.kill()
+        self._parent.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._parent.kill()
+        self._parent.communicate()  # closes what the child reads
+
+
+_FORK = """
+import os, signal
+if os.fork():
+    signal.pause()
+print("forked", flush=True)
+os.read(0, 1)  # until the test ends it
+os._exit(0)
+"""
 
 
 def hold_ends_all(*command: str) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import socket
 import subprocess
-import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
+from tests.processes import ForkedProgram
 from tests.server.conftest import Between, Serve
 from tests.server.robot import script
 from tests.server.talk import SECONDS, eventually
@@ -59,43 +59,29 @@ def restarting(robot: RobotManager) -> Iterator[Restarting]:
 
 
 FORKED = """
-import os, signal, sys
+import sys
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import ServerOptions, serve_in_thread
 
 robot = RobotManager(loads("version: 1\\nbridges: {}\\nfunctions: {}"))
-with serve_in_thread(robot, ServerOptions(port=0)) as server:
-    print(server.ports[0], flush=True)
-    sys.stdin.readline()
-    if os.fork():
-        signal.pause()
-    print("forked", flush=True)
-    os.read(0, 1)  # until the test ends it
-    os._exit(0)
+serving = serve_in_thread(robot, ServerOptions(port=0))
+print(serving.__enter__().ports[0], flush=True)
+sys.stdin.readline()
 """
 
 
 def test_a_child_that_is_forked_holds_neither_port_nor_connections() -> None:
-    words = [sys.executable, "-c", FORKED]
-    parent = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    try:
-        assert parent.stdin is not None
-        assert parent.stdout is not None
-        port = int(parent.stdout.readline())
+    with ForkedProgram(FORKED) as forked:
+        port = int(forked.read())
         with ws_connect(f"ws://127.0.0.1:{port}/", open_timeout=patience()) as client:
-            parent.stdin.write("connected\n")
-            parent.stdin.flush()
-            assert parent.stdout.readline() == "forked\n"
-            parent.kill()
-            parent.wait()
+            forked.write("connected")
+            assert forked.read() == "forked"
+            forked.kill_parent()
             with pytest.raises(ConnectionClosed):
                 read_to_end(client)
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.1", port))
-    finally:
-        parent.kill()
-        parent.communicate()  # closes what the child reads
 
 
 def read_to_end(client: ClientConnection) -> NoReturn:

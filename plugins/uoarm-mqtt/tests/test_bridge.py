@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +15,7 @@ import pytest
 import trustme
 from brokers import Broker, Peer, running
 from tests.inbox import health_events, until  # type: ignore[import-not-found]
+from tests.processes import ForkedProgram  # type: ignore[import-not-found]
 from uoarm_mqtt import _channels, _link
 from uoarm_mqtt._channels import _Call
 from uoarm_mqtt._link import PacketOutcome
@@ -469,7 +468,7 @@ class TestServices:
 
 
 FORKED = """
-import os, signal, sys
+import sys
 from uoarm.bridge import Registry
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
 from uoarm.testing import patience
@@ -479,11 +478,6 @@ options = {"url": sys.argv[1], "presence": presence, "keepalive": 65535}
 bridge = Registry().create(BridgeSpec("mqtt", "mqtt", options))
 said = Endpoint("mqtt", "said", Role.INPUT, ("forked/said",))
 sink = bridge.open_sink(said, MessageStructure(True), timeout=patience())
-if os.fork():
-    signal.pause()
-print("forked", flush=True)
-os.read(0, 1)  # until the test ends it
-os._exit(0)
 """
 
 
@@ -494,17 +488,10 @@ class TestBroker:
         self, broker: Broker, peer: Peer
     ) -> None:
         came = peer.collect("forked/there")
-        words = [sys.executable, "-c", FORKED, broker.url]
-        parent = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        try:
-            assert parent.stdout is not None
-            assert parent.stdout.readline() == b"forked\n"
-            parent.kill()
-            parent.wait()
+        with ForkedProgram(FORKED, broker.url) as forked:
+            assert forked.read() == "forked"
+            forked.kill_parent()
             wait(lambda: [item.payload for item in came] == [b"online", b"offline"], "no will")
-        finally:
-            parent.kill()
-            parent.communicate()  # closes what the child reads
 
     def test_killed_and_back_counts_and_resumes(self, tmp_path: Path) -> None:
         lines = f"allow_anonymous true\npersistence true\npersistence_location {tmp_path}/\n"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import socket
-import subprocess
-import sys
 import termios
 import threading
 import time
@@ -16,6 +14,7 @@ import pytest
 import serial
 import serial.rfc2217
 from lines import LIMIT, PseudoTerminal, listening
+from tests.processes import ForkedProgram  # type: ignore[import-not-found]
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._options import LineOptions
 from uoarm_rocos._transport import LineTransport, SerialTransport, transport_for
@@ -194,33 +193,22 @@ def flood(write: Callable[[bytes], None]) -> None:
 
 
 FORKED = """
-import os, signal, sys
+import sys
 from uoarm_rocos._options import LineOptions
 from uoarm_rocos._transport import transport_for
 
 transport = transport_for(sys.argv[1], LineOptions())()
 transport.open(60)
-if os.fork():
-    signal.pause()
-print("forked", flush=True)
-os.read(0, 1)  # until the test ends it
-os._exit(0)
 """
 
 
 def test_a_child_that_is_forked_holds_no_line_of_its_parent() -> None:
     """A device that serves one at a time serves the next."""
     with socket.create_server(("127.0.0.1", 0)) as device:
-        words = [sys.executable, "-c", FORKED, f"tcp://127.0.0.1:{device.getsockname()[1]}"]
-        parent = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        try:
-            assert parent.stdout is not None
-            assert parent.stdout.readline() == b"forked\n"
+        address = f"tcp://127.0.0.1:{device.getsockname()[1]}"
+        with ForkedProgram(FORKED, address) as forked:
+            assert forked.read() == "forked"
             with device.accept()[0] as line:
-                parent.kill()
-                parent.wait()
+                forked.kill_parent()
                 line.settimeout(LIMIT)
                 assert line.recv(1) == b""
-        finally:
-            parent.kill()
-            parent.communicate()  # closes what the child reads

@@ -11,6 +11,7 @@ from typing import Any
 
 from endpoints import bridge_to
 from peers import Master, Peer
+from tests.processes import ForkedProgram  # type: ignore[import-not-found]
 from tests.structures import closed  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
@@ -277,7 +278,7 @@ def test_the_base_can_see_that_the_host_was_killed(master: Master, lasting: Peer
 
 
 FORKED = """
-import os, signal, sys
+import sys
 from uoarm.bridge import Registry
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
 from uoarm.testing import patience
@@ -290,11 +291,6 @@ at = [
 ]
 sink = bridge.open_sink(at[0], MessageStructure(True), timeout=patience())
 source = bridge.open_source(at[1], MessageStructure(True), print, timeout=patience())
-if os.fork():
-    signal.pause()
-print("forked", flush=True)
-os.read(0, 1)  # until the test ends it
-os._exit(0)
 """
 
 
@@ -302,17 +298,9 @@ def test_a_child_that_is_forked_holds_no_connection(master: Master, lasting: Pee
     """A base sees that its subscription has none any more, whatever the process has forked."""
     lasting.do("subscribe", topic="/forked/input", type="std_msgs/Int64")
     lasting.do("advertise", topic="/forked/output", type="std_msgs/Int64")
-    parent = subprocess.Popen(
-        [sys.executable, "-c", FORKED, master.uri], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    try:
-        assert parent.stdout is not None
-        assert parent.stdout.readline() == b"forked\n"
+    with ForkedProgram(FORKED, master.uri) as forked:
+        assert forked.read() == "forked"
         assert lasting.do("writers", topic="/forked/input") == 1
-        parent.kill()
-        parent.wait()
+        forked.kill_parent()
         lasting.wait_for("writers", lambda count: count == 0, topic="/forked/input")
         lasting.wait_for("connections", lambda count: count == 0, topic="/forked/output")
-    finally:
-        parent.kill()
-        parent.communicate()  # closes what the child reads

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +12,7 @@ from typing import Any
 import pytest
 from played import LISTEN, STRING, TALK, Played, asked, bridge_to
 from tests.inbox import health_events  # type: ignore[import-not-found]
+from tests.processes import ForkedProgram  # type: ignore[import-not-found]
 from tests.server.talk import eventually  # type: ignore[import-not-found]
 from websockets.protocol import State
 
@@ -71,34 +70,22 @@ def test_what_stands_is_there_again_and_nothing_comes_twice(played: Played) -> N
 
 
 FORKED = """
-import os, signal, sys
+import sys
 from uoarm.bridge import Registry
 from uoarm.model import BridgeSpec, Endpoint, Role
 
 bridge = Registry().create(BridgeSpec("far", "rosbridge", {"url": sys.argv[1], "wait": 60}))
 talk = Endpoint("far", "talker", Role.OUTPUT, ("/chatter",))
 source = bridge.open_source(talk, bridge.describe(talk).message, print)
-if os.fork():
-    signal.pause()
-print("forked", flush=True)
-os.read(0, 1)  # until the test ends it
-os._exit(0)
 """
 
 
 def test_a_child_that_is_forked_holds_no_connection(played: Played) -> None:
-    words = [sys.executable, "-c", FORKED, played.url]
-    parent = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    try:
-        assert parent.stdout is not None
-        assert parent.stdout.readline() == b"forked\n"
+    with ForkedProgram(FORKED, played.url) as forked:
+        assert forked.read() == "forked"
         (socket,) = played.sockets
-        parent.kill()
-        parent.wait()
+        forked.kill_parent()
         eventually(lambda: socket.protocol.state is State.CLOSED, "the server sees its end")
-    finally:
-        parent.kill()
-        parent.communicate()  # closes what the child reads
 
 
 def test_what_was_closed_meanwhile_is_not_there_again(played: Played) -> None:
