@@ -15,9 +15,8 @@ from uoarm.cli import main as run_command
 from uoarm.errors import CommandLineError
 from uoarm.model import BridgeSpec, Endpoint, Options, Role
 from uoarm.plugins import Command, CommandParser, hookimpl, printable
-from uoarm_ros2._installed import installed
 from uoarm_ros2._options import HIGHEST_DOMAIN
-from uoarm_ros2._types import import_type, kind_of, type_mistake
+from uoarm_ros2._types import import_type, installed, kind_of, type_mistake
 
 __all__ = ["main", "uoarm_commands"]
 

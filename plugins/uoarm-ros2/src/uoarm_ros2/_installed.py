@@ -24,6 +24,7 @@ from uoarm_ros2._types import (
     MESSAGE,
     SERVICE,
     import_type,
+    installed,
     kind_of,
     of_type,
     shape_of,
@@ -123,7 +124,6 @@ def _mixed(rclpy: Path, beside: Iterable[Wheel]) -> str:
     )
 
 
-_INDEX = "share/ament_index/resource_index/rosidl_interfaces"
 _SHOWN = 5
 
 
@@ -160,18 +160,6 @@ def _installed(name: str) -> MessageStructure | None:
         if error.reason is FailureReason.NOT_FOUND:
             return None
         raise
-
-
-def installed() -> list[str]:
-    """Return the types whose definitions are installed, as the index of ROS 2 lists them."""
-    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
-    found = set()
-    for prefix in filter(None, prefixes):
-        folder = Path(prefix) / _INDEX
-        for package in folder.iterdir() if folder.is_dir() else ():
-            lines = package.read_text().splitlines()
-            found |= {f"{package.name}/{line.rpartition('.')[0]}" for line in lines}
-    return sorted(name for name in found if not type_mistake(name))
 
 
 def doubts(

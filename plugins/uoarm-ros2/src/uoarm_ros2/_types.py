@@ -9,9 +9,12 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
+import os
 import re
+import sys
 from collections.abc import Mapping
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, TypeAlias
 
 from attrs import field, frozen
@@ -21,6 +24,7 @@ from uoarm.cdr import BASIC
 from uoarm.errors import BridgeError, FailureReason
 
 MESSAGE, SERVICE, ACTION = "msg", "srv", "action"
+_INDEX = "share/ament_index/resource_index/rosidl_interfaces"
 _NAME = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9_]*")
 
 
@@ -29,10 +33,26 @@ def type_mistake(name: str) -> str:
     if _NAME.fullmatch(name):
         return ""
     package, _, rest = name.partition("/")
-    meant = f"{package}/msg/{rest}"
-    hint = f"; did you mean {meant!r}?" if _NAME.fullmatch(meant) else ""
+    meant = [f"{package}/{kind}/{rest}" for kind in (MESSAGE, SERVICE, ACTION)]
+    hint = ""
+    if _NAME.fullmatch(meant[0]):
+        there = installed()
+        meant = [kind for kind in meant if kind in there] or meant
+        hint = f"; did you mean {meant[0]!r}?"
     spelt = "package/msg/Name, package/srv/Name or package/action/Name"
     return f"type {name!r} is not spelt {spelt}{hint}"
+
+
+def installed() -> list[str]:
+    """Return the types whose definitions are installed, as the index of ROS 2 lists them."""
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    found = set()
+    for prefix in filter(None, prefixes):
+        folder = Path(prefix) / _INDEX
+        for package in folder.iterdir() if folder.is_dir() else ():
+            lines = package.read_text().splitlines()
+            found |= {f"{package.name}/{line.rpartition('.')[0]}" for line in lines}
+    return sorted(name for name in found if _NAME.fullmatch(name))
 
 
 def kind_of(name: str) -> str:
