@@ -12,8 +12,18 @@ from pathlib import Path
 import pytest
 
 from uoarm import RobotManager
+from uoarm._host.remote_bridge import RemoteBridge, RemoteSink
 from uoarm.errors import CommandRefusedError
-from uoarm.model import CommandPhase, CommandStatus
+from uoarm.model import (
+    BridgeSpec,
+    CommandPhase,
+    CommandPolicy,
+    CommandStatus,
+    Endpoint,
+    MessageStructure,
+    Role,
+    StopMessage,
+)
 from uoarm.testing import patience, wait
 
 COMPONENTS = """
@@ -140,3 +150,25 @@ def test_a_stop_that_a_sender_asks_for_comes_behind_what_it_sent_before(folder: 
         assert taken(folder) == ["0.5", "0.0"]
         drive.send({"v": 0.5})
         wait(lambda: len(taken(folder)) == 3)
+
+
+def test_no_stop_waits_until_another_input_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An input whose component hangs is closed late: the host has stopped all before."""
+    (tmp_path / "moving.py").write_text(COMPONENTS)
+    policy = CommandPolicy(lifetime=3600, stop=StopMessage({"v": 0.0}))
+    bridge = RemoteBridge(BridgeSpec("far", "python", {"path": [str(tmp_path)]}, {"silence": 60}))
+    for port in ("left", "right"):
+        base = Endpoint("far", "base", Role.INPUT, ("moving:base",), port, command=policy)
+        bridge.open_sink(base, MessageStructure({}), timeout=patience()).send({"v": 0.5})
+    wait(lambda: len(taken(tmp_path)) == 2)
+    close = RemoteSink._close
+
+    def look_and_close(sink: RemoteSink) -> None:
+        wait(lambda: taken(tmp_path).count("0.0") == 2)
+        close(sink)
+
+    monkeypatch.setattr(RemoteSink, "_close", look_and_close)
+    bridge.close(timeout=2 * patience())
+    assert taken(tmp_path) == ["0.5", "0.5", "0.0", "0.0"]

@@ -6,6 +6,7 @@ import itertools
 import logging
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, final
 
@@ -14,7 +15,7 @@ from uoarm._host.transport import keys
 from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender, Handled
 from uoarm._host.transport.keys import COMMAND, SKIPPED
 from uoarm._host.transport.shared_counters import SharedCounter
-from uoarm._host.transport.transport import Reply, RequestWorkers
+from uoarm._host.transport.transport import Reply, RequestWorkers, Transport
 from uoarm._support import deadlines
 from uoarm.bridge import (
     Bridge,
@@ -154,6 +155,7 @@ class RemoteSink(RemoteChannel, Sink):
     """
 
     outgoing: FlowSender
+    transport: Transport
     counter: SharedCounter | None = None
 
     def facts(self) -> Mapping[str, object]:
@@ -193,6 +195,12 @@ class RemoteSink(RemoteChannel, Sink):
         sent = self.outgoing.sent
         halted = self._ask("halt", flow=self.number, sent=sent, timeout=timeout)
         return None if halted is None else from_json(halted, CommandStatus)
+
+    def begin_close(self) -> None:
+        """Have the host stop what moves, and take no more; waits for nothing."""
+        if self.endpoint.command is not None:
+            with suppress(BridgeError):  # it is gone, or stands still: `close` finds that out
+                self.transport.notify(keys.CLOSING, self.number.to_bytes(8, "big"))
 
     def release(self) -> None:
         """Have the host let commands through again."""
@@ -360,6 +368,7 @@ class RemoteBridge(Bridge):
         except BaseException:
             self._release(channel.counter)
             raise
+        channel.transport = self._host.transport
         patience = _BLOCKING_SECONDS if channel.blocking else _PROMPT_SECONDS
         channel.outgoing = FlowSender(self._host.transport, keys.flow(number), patience)
         self._channels[number] = channel

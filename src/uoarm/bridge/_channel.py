@@ -305,7 +305,6 @@ class Sink(Channel):
         """
         return None if self._watchdog is None else self._watchdog.halt(timeout)
 
-    @final
     def begin_close(self) -> None:
         """Let no command through any more, and have what moves stopped; for the core.
 

@@ -86,6 +86,7 @@ class RequestDispatcher:
         """Answer from now on, then show that the host is alive."""
         self._bridge.watch(self._noticed)
         self._transport.answer(keys.ASK, self._take)
+        self._transport.listen(keys.CLOSING, self._begin_close)
         self._transport.answer(keys.HEARTBEAT, self._beat)
         self._transport.show_alive(keys.ALIVE)
 
@@ -212,6 +213,11 @@ class RequestDispatcher:
     def _stop_all(self, request: Request) -> Any:
         outcomes = self._bridge.stop_all(release=request["release"], timeout=request["timeout"])
         return [to_json(outcome) for outcome in outcomes]
+
+    def _begin_close(self, number: bytes) -> None:
+        sink = self._flows.sink(int.from_bytes(number, "big"))
+        if sink is not None:
+            sink.begin_close()
 
     def _close_channel(self, request: Request) -> int:
         return self._flows.close(request["flow"], request["sent"], request["timeout"])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-PROTOCOL_VERSION = 13
+PROTOCOL_VERSION = 14
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 ALIVE = "uoarm/host/alive"
 ASK = "uoarm/host/ask"
 HEARTBEAT = "uoarm/host/heartbeat"
+CLOSING = "uoarm/host/closing"
 HEALTH = "uoarm/manager/health"
 MANAGED = "uoarm/manager/alive"
 
