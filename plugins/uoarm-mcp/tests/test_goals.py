@@ -61,11 +61,12 @@ def test_a_cancellation_reaches_the_action_and_the_end_is_reported_once(agents: 
     assert agents.facts("goal_status", {"handle": handle})["first_report"] is False
 
 
+@pytest.mark.parametrize("revision", ["legacy", "2026-07-28"])
 def test_a_request_that_is_cancelled_cancels_what_it_began(
-    agents: Agents, monkeypatch: pytest.MonkeyPatch
+    agents: Agents, monkeypatch: pytest.MonkeyPatch, revision: str
 ) -> None:
     monkeypatch.setattr("uoarm_mcp._actions._AT_ONCE_SECONDS", patience())
-    client = agents.client("agent", "legacy")
+    client = agents.client("agent", revision)
 
     async def give_up() -> None:
         asked = asyncio.ensure_future(client.call_tool("walk", {"value": 99}))

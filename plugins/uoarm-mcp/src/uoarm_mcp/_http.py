@@ -265,11 +265,20 @@ class AdmittingApp:
         headers = dict(scope["headers"])
         if headers.get(b"mcp-method") == b"tools/call":
             await self._service.prepare(client, headers.get(b"mcp-name", b"").decode("latin-1"))
+        await self._run(client, scope, body, receive, send)
+
+    async def _run(
+        self,
+        client: StatelessClient,
+        scope: _Scope,
+        body: bytes,
+        receive: _Receive,
+        send: _Send,
+    ) -> None:
+        """Answer a request that was read, until its client's rights end, or the client goes."""
         token = AccessToken(token="-", client_id=client.identity, scopes=[])  # noqa: S106
         admitted = {**scope, CLIENT: client, "user": AuthenticatedUser(token)}
         sending = _Sending(client, send)
-
-        # What lasts, as a stream of notices, ends with the client's rights.
         task = asyncio.ensure_future(
             self._sessions.answer(client, admitted, _again(body, receive), sending.send)
         )
@@ -277,10 +286,17 @@ class AdmittingApp:
             self._under_way[client] = set()
             client.on_end(lambda: self._end(client))
         self._under_way[client].add(task)
+        leaving = None
+        if dict(scope["headers"]).get(_REVISION) not in (None, *_WITH_SESSIONS):
+            # Of later revisions a response that its client closes is a request that it cancels;
+            # the SDK looks for that in streams only.
+            leaving = asyncio.ensure_future(_cancel_when_gone(receive, task))
         try:
             await task
         except asyncio.CancelledError:
             task.cancel()
+            if leaving is not None and leaving.done():
+                return
             if not client.has_ended:
                 raise
             if sending.has_begun:
@@ -288,6 +304,8 @@ class AdmittingApp:
             else:
                 await _answer(send, 401, "the rights of this client have ended")
         finally:
+            if leaving is not None:
+                leaving.cancel()
             sending.close()
             if client in self._under_way:
                 self._under_way[client].discard(task)
@@ -352,6 +370,12 @@ async def _body(receive: _Receive, most: int, held: Charge) -> bytes | None:
         parts.append(part)
         if not message.get("more_body"):
             return b"".join(parts)
+
+
+async def _cancel_when_gone(receive: _Receive, task: asyncio.Future[None]) -> None:
+    """Cancel the answer to a request, whose body was read, when its client has gone."""
+    await receive()
+    task.cancel()
 
 
 def _again(body: bytes, receive: _Receive) -> _Receive:
