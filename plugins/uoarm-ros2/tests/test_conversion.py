@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -288,4 +289,18 @@ def test_anything_but_the_message_is_refused(message: object) -> None:
 def test_a_type_that_is_not_there_says_what_to_install(name: str, words: str) -> None:
     with pytest.raises(BridgeError, match=words) as caught:
         import_type(name)
+    assert caught.value.reason is FailureReason.NOT_FOUND
+
+
+def test_a_package_that_is_broken_is_as_one_that_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that its types may come from a folder of definitions, or from nodes."""
+    for folder in ("awry_msgs", "awry_msgs/msg"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "__init__.py").touch()
+    (tmp_path / "awry_msgs/msg/__init__.py").write_text("self.from = 0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(BridgeError, match=r"'awry_msgs.msg' is broken: SyntaxError: ") as caught:
+        import_type("awry_msgs/msg/Edge")
     assert caught.value.reason is FailureReason.NOT_FOUND

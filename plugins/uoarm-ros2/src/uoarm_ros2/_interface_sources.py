@@ -206,6 +206,7 @@ def generate(package: InterfacePackage, work: Path, shares: Mapping[str, Path]) 
     call(_INTROSPECTION, "generate_c", also)
     call("rosidl_typesupport_c", "generate_c", own, [_FASTDDS, _INTROSPECTION])
     call("rosidl_generator_py", "generate_py", python, ["rosidl_typesupport_c"])
+    _require_python(package, python)
     for module, output in (("rosidl_generator_c", own), (_FASTDDS, own), (_INTROSPECTION, also)):
         _visibility(module, package.name, output)
     (python / "__init__.py").touch()
@@ -216,6 +217,18 @@ def generate(package: InterfacePackage, work: Path, shares: Mapping[str, Path]) 
         if path.suffix in {".c", ".cpp"}
     ]
     return Generated((headers, introspection), python, described, tuple(sources))
+
+
+def _require_python(package: InterfacePackage, folder: Path) -> None:
+    """Raise ConfigurationError where no Python was made, as of a field that is called `from`."""
+    for path in sorted(folder.rglob("*.py")):
+        try:
+            compile(path.read_bytes(), path, "exec", dont_inherit=True)
+        except SyntaxError as error:
+            raise ConfigurationError(
+                f"{package.folder}: what ROS 2 makes of it for Python is none, {path.name}: "
+                f"{(error.text or str(error)).strip()}; call no field by a keyword of Python"
+            ) from error
 
 
 def _visibility(module: str, package: str, own: Path) -> None:

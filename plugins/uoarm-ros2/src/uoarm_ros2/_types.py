@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 
 from attrs import field, frozen
 
-from uoarm.bridge import did_you_mean
+from uoarm.bridge import did_you_mean, text_of
 from uoarm.cdr import BASIC
 from uoarm.errors import BridgeError, FailureReason
 
@@ -69,8 +69,8 @@ def import_type(name: str) -> type:
     """Return the generated class of a type such as `sensor_msgs/msg/Image`.
 
     Raises:
-        BridgeError: the package is not installed, or has no such type; or the name is none of ROS,
-            as that of a type on bare DDS.
+        BridgeError: the package is not installed, cannot be imported, or has no such type; or the
+            name is none of ROS, as that of a type on bare DDS.
     """
     if mistake := type_mistake(name):
         raise BridgeError(mistake, FailureReason.NOT_FOUND)
@@ -85,6 +85,9 @@ def import_type(name: str) -> type:
             f"build-interfaces` build it of its definitions, or source the workspace that "
             f"provides {package!r}"
         )
+        raise BridgeError(text, FailureReason.NOT_FOUND) from error
+    except Exception as error:  # what was generated of a field that is called `from`, say
+        text = f"{of_type(name)}Python package '{package}.{kind}' is broken: {text_of(error)}"
         raise BridgeError(text, FailureReason.NOT_FOUND) from error
     found = getattr(module, type_name, None)
     if not isinstance(found, type):
