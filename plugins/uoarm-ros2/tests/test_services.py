@@ -16,10 +16,19 @@ from peers import DOMAIN, MORTAL, OPTIONS, Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2 import _services
 from uoarm_ros2._actions import Action
+from uoarm_ros2._conversion import fitting
 from uoarm_ros2._discovery import Ros2Graph
 from uoarm_ros2._middleware import GoalRequest, Participant
-from uoarm_ros2._services import Disagreement, OtherServers, _with_disagreement
-from uoarm_ros2._types import import_type
+from uoarm_ros2._services import Disagreement, OtherServers, _reason_of, _with_disagreement
+from uoarm_ros2._types import (
+    ArrayType,
+    RecordField,
+    RecordType,
+    ScalarType,
+    Shape,
+    StringType,
+    import_type,
+)
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
@@ -145,6 +154,40 @@ def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
     wait(lambda: channel.facts() == {"answered": 1, "failed": 1, "refused": 0, "waiting": 0})
     assert client.do("call", name="/switch", value=True)["success"]
     assert events.event(Health.OK, "serving /switch: a message passed").channel is channel
+
+
+def test_a_failure_whose_text_ros_2_cannot_carry_is_answered_all_the_same(
+    bridge: Bridge, peer: Start
+) -> None:
+    client = peer("client")
+
+    def handler(message: Any) -> Any:
+        raise ValueError("no file \udcff\0, see above")
+
+    bridge.serve(service("/switch", SET_BOOL), handler)
+    answer = client.do("call", name="/switch", value=True)
+    assert answer == {"success": False, "message": "no file \\udcff, see above"}
+
+
+@pytest.mark.parametrize(
+    ("success", "message", "wanted"),
+    [
+        ("bool", StringType(), "näh"),
+        ("bool", StringType(bound=2), "n"),
+        ("bool", StringType(wide=True, bound=2), "nä"),
+        ("int32", StringType(), None),
+        ("bool", ArrayType(StringType()), None),
+        ("bool", RecordType("a/msg/B", object, (), {}, ()), None),
+    ],
+)
+def test_only_what_is_made_for_it_says_why_a_handler_failed(
+    success: str, message: Shape, wanted: str | None
+) -> None:
+    """Another value than the type has ends the process."""
+    fields = ("success", ScalarType(success)), ("message", message)
+    members = tuple(RecordField(name, name, shape) for name, shape in fields)
+    reason = _reason_of(RecordType("a/srv/B_Response", object, members, {}, ()))
+    assert (reason and fitting("näh", reason)) == wanted
 
 
 @pytest.mark.parametrize("is_action", [False, True], ids=["service", "action"])

@@ -205,6 +205,14 @@ def _encodable(value: Message, encoding: str, unit: int, bound: int | None) -> s
     return value
 
 
+def fitting(text: str, kind: StringType) -> str:
+    """Return as much as a string holds of a text that can be encoded, without NUL."""
+    encoding, unit = ("utf-16-le", 2) if kind.wide else ("utf-8", 1)
+    octets = text.replace("\0", "").encode(encoding)
+    most = None if kind.bound is None else kind.bound * unit
+    return octets[:most].decode(encoding, "ignore")
+
+
 def taker(listing: ArrayType) -> Callable[[Message], object]:
     """Return the function that makes a value fit for a native array, or raises Misfit.
 

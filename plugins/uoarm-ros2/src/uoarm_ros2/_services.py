@@ -16,15 +16,15 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.bridge import Channel, Handler, ServedRequests
+from uoarm.bridge import Channel, Handler, ServedRequests, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
-from uoarm_ros2._conversion import reader, writer
+from uoarm_ros2._conversion import fitting, reader, writer
 from uoarm_ros2._discovery import Ros2Graph, ServerPresence
 from uoarm_ros2._health import Report
 from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
 from uoarm_ros2._schema import service_records
-from uoarm_ros2._types import import_type
+from uoarm_ros2._types import RecordType, ScalarType, StringType, import_type
 
 _LOOK_SECONDS = 1.0
 _LEASE_SECONDS = 30.0
@@ -249,12 +249,23 @@ class OtherServers:
             self._report(Health.DEGRADED, text)
 
 
+def _reason_of(reply: RecordType) -> StringType | None:
+    """Return the text in which a reply says why there is none; None: it has no such.
+
+    rclpy looks at no value: of one that is not of its field's type the code below ends the process.
+    """
+    shapes = {field.name: field.shape for field in reply.fields}
+    text = shapes.get("message")
+    can_refuse = shapes.get("success") == ScalarType("bool")
+    return text if can_refuse and isinstance(text, StringType) else None
+
+
 class ServiceServer(Channel):
     """A service offered to ROS.
 
-    When the handler fails, a reply type with `success` and `message` says so; any other client is
-    left without a reply, since ROS 2 has no other way to refuse, and the channel is degraded. The
-    same happens to requests for which there is no room.
+    When the handler fails, a reply type with a boolean `success` and a text `message` says so; any
+    other client is left without a reply, since ROS 2 has no other way to refuse, and the channel is
+    degraded. The same happens to requests for which there is no room.
 
     Args:
         runner: where it is offered.
@@ -287,7 +298,7 @@ class ServiceServer(Channel):
         read = reader(request)
         self._native = native
         self._write = writer(reply)
-        self._refusable = {"success", "message"} <= {field.name for field in reply.fields}
+        self._reason = _reason_of(reply)
         self._runner = runner
         self._service = runner.server(
             native, name, lambda asked, answer: requests.put((answer, read(asked)))
@@ -306,8 +317,11 @@ class ServiceServer(Channel):
         self._send(answer, self._write(self._handler(message)))
 
     def _refuse(self, request: tuple[Any, Message], error: Exception) -> None:
-        if self._refusable:
-            self._send(request[0], self._native.Response(success=False, message=str(error)))
+        if self._reason is not None:
+            message = fitting(
+                text_of(error).removeprefix(f"{type(error).__name__}: "), self._reason
+            )
+            self._send(request[0], self._native.Response(success=False, message=message))
 
     def _send(self, answer: Callable[[Any], None], native: Any) -> None:
         """Send a reply; a client that is gone, or a channel that was closed, gets none."""
