@@ -369,10 +369,6 @@ def _encode_as_text(encoder: cbor2.CBOREncoder, value: Any) -> None:
     encoder.encode(orjson.loads(orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY)))
 
 
-def _encode_octets(encoder: cbor2.CBOREncoder, value: Any) -> None:
-    encoder.encode(value.tobytes())
-
-
 def _encode_array(encoder: cbor2.CBOREncoder, value: array[Any]) -> None:
     kind = _SIGNS.get(value.typecode, "i")
     _encode_typed(encoder, kind, value.itemsize, _little(value).tobytes())
@@ -527,7 +523,7 @@ _ENCODERS: dict[Any, Any] = {
     **dict.fromkeys(_FOREIGN_TYPES, _encode_foreign),
     **dict.fromkeys((datetime, date, UUID), _encode_as_text),
     **dict.fromkeys((dict, defaultdict, OrderedDict), _encode_map),
-    memoryview: _encode_octets,
+    memoryview: lambda encoder, value: encoder.encode(value.tobytes()),
     array: _encode_array,
 }
 _DECODERS: dict[int, Any] = {

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 from attrs import define, field, frozen
 
 from uoarm._encodable import is_encodable
-from uoarm.model import Message, Schema
+from uoarm.model import Schema
 
 
 @frozen
@@ -65,7 +65,7 @@ class NumberRange:
                 return False
             if not self.bounded:
                 return True
-            limit = _float_limit(buffer.dtype)
+            limit = _GREATEST_FLOAT32 if buffer.dtype.itemsize <= 4 else math.inf  # noqa: PLR2004
             if self.any_nonfinite:
                 return self.low <= -limit and limit <= self.high
         elif kind in "iu":
@@ -83,8 +83,7 @@ class NumberRange:
         return bool(self.low <= buffer.min().item() and buffer.max().item() <= self.high)
 
 
-def _float_limit(dtype: Any) -> float:
-    return 3.4028234663852886e38 if dtype.itemsize <= 4 else math.inf  # noqa: PLR2004 - float32
+_GREATEST_FLOAT32 = 3.4028234663852886e38
 
 
 Accepts: TypeAlias = Callable[[Any], bool]
@@ -298,7 +297,8 @@ class _Compiler:
         required = schema.get("required", ())
         more = schema.get("additionalProperties", True)
         parts = {name: self.part(property_, depth + 1) for name, property_ in properties.items()}
-        always = tuple((name, parts.get(name, _anything)) for name in dict.fromkeys(required))
+        names = dict.fromkeys(required)
+        always = tuple((name, parts.get(name, lambda _: True)) for name in names)
         perhaps = tuple((name, part) for name, part in parts.items() if name not in required)
         if more is False:
             return _closed(always, perhaps)
@@ -340,10 +340,6 @@ def _meaningful(schema: Mapping[str, Any]) -> set[str]:
         for name in schema
         if name not in _NOTES and (not name.startswith("x-") or name in _UNITS)
     }
-
-
-def _anything(_: Message) -> bool:
-    return True
 
 
 def _of_kind(schema: Mapping[str, Any], kind: str) -> dict[str, Any]:

@@ -213,7 +213,9 @@ class ChannelHealth:
                 # With the last peer goes what was wrong with it.
                 return self._mended(now, "no peer is connected, and none need be", *self._faults)
             health = Health.DEGRADED if self._grace else self._without_peers
-            return self._fault(now, health, _DISCONNECTED, cause + self._sooner(now))
+            if self._rhythm is not None:
+                cause += self._rhythm.sooner(now - self._awaited_since)
+            return self._fault(now, health, _DISCONNECTED, cause)
         if peers <= before:
             return None
         if before:
@@ -336,10 +338,6 @@ class ChannelHealth:
         if known is not None and known.health is health:
             return None
         return ChannelReport(health, f"no message for {lasted:g} s{note}", now)
-
-    def _sooner(self, now: float) -> str:
-        """Name the option that would have reported a loss sooner; empty: none would."""
-        return "" if self._rhythm is None else self._rhythm.sooner(now - self._awaited_since)
 
     def _fault(
         self, now: float, health: Health, key: tuple[HealthReason, str], cause: str

@@ -72,7 +72,9 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
             if as_json:
                 _print_json(findings, in_one_line=True)
             else:
-                _print_differences(before, findings)
+                for mark, row in changed_rows(before, findings):
+                    colour = "red" if mark == "-" else "green"
+                    echo(styled(fitted(f"{mark} {row}"), fg=colour))
         sys.exit(0 if any(not found.cause for found in findings) else BRIDGE)
 
 
@@ -188,19 +190,16 @@ def _print_json(findings: tuple[BridgeFindings, ...], *, in_one_line: bool) -> N
         print_json(findings)
 
 
-def _print_differences(
-    before: tuple[BridgeFindings, ...], after: tuple[BridgeFindings, ...]
-) -> None:
+def changed_rows(
+    before: Iterable[BridgeFindings], after: Iterable[BridgeFindings]
+) -> Iterator[tuple[str, str]]:
+    """Yield what is seen no more, each line with `-`, then what is new, with `+`."""
     old, new = dict.fromkeys(rows(before)), dict.fromkeys(rows(after))
-    for row in old:
-        if row not in new:
-            echo(styled(fitted(f"- {row}"), fg="red"))
-    for row in new:
-        if row not in old:
-            echo(styled(fitted(f"+ {row}"), fg="green"))
+    yield from (("-", row) for row in old if row not in new)
+    yield from (("+", row) for row in new if row not in old)
 
 
-def rows(findings: Iterable[BridgeFindings]) -> Iterable[str]:
+def rows(findings: Iterable[BridgeFindings]) -> Iterator[str]:
     """Yield what is seen as lines of which each can be read alone."""
     for found in findings:
         if found.cause:

@@ -237,14 +237,18 @@ def at_least(level: int) -> None:
 
 
 @contextmanager
-def leaving_out(repeated: logging.Filter) -> Iterator[None]:
-    """Write no records that a filter leaves out, as the command itself says what they do."""
+def leaving_out(repeated: re.Pattern[str]) -> Iterator[None]:
+    """Write no records that begin so: the command prints itself what they say."""
     log: _Log = click.get_current_context().meta[_META]
-    log.handler.addFilter(repeated)
+
+    def is_new(record: logging.LogRecord) -> bool:
+        return repeated.match(record.getMessage()) is None
+
+    log.handler.addFilter(is_new)
     try:
         yield
     finally:
-        log.handler.removeFilter(repeated)
+        log.handler.removeFilter(is_new)
 
 
 def _take(context: click.Context, choices: Iterable[str]) -> None:
@@ -264,10 +268,6 @@ def _take_levels(context: click.Context, parameter: click.Parameter, given: Iter
         raise click.BadParameter(str(error), ctx=context, param=parameter) from error
 
 
-def _take_form(context: click.Context, _: click.Parameter, form: str | None) -> None:
-    _take(context, [] if form is None else [form])
-
-
 def add_log_options(command: click.Command) -> None:
     """Give a command, and all commands in it, the options of the log."""
     command.params += [
@@ -283,7 +283,7 @@ def add_log_options(command: click.Command) -> None:
             ["--log-format"],
             type=click.Choice(list(_FORMS)),
             expose_value=False,
-            callback=_take_form,
+            callback=lambda context, _, form: _take(context, [] if form is None else [form]),
             help=f"Write records as lines of text or of JSON; {_VARIABLE} has both.",
         ),
     ]

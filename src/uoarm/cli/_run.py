@@ -96,7 +96,7 @@ def request(
         _request_there(server, name, count, duration, validate=validate, as_json=as_json)
         return
     with (
-        leaving_out(_Repeated(_DEATH)),  # until the manager is closed, which writes what is left
+        leaving_out(_DEATH),  # until the manager is closed, which writes what is left
         open_robot(file) as robot,
         _requested(robot, name, validate) as connection,
     ):
@@ -217,18 +217,6 @@ def _text_of(message: Message, most: int | None = None) -> str:
         return write_json(plain(message, most))
     except (TypeError, ValueError, RecursionError) as error:
         raise MessageError(f"a message cannot be written as JSON: {error}") from error
-
-
-class _Repeated(logging.Filter):
-    """Leaves out records of what the command prints itself: a terminal would show it twice."""
-
-    def __init__(self, pattern: re.Pattern[str]) -> None:
-        super().__init__()
-        self._pattern = pattern
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Say whether a record is written."""
-        return self._pattern.match(record.getMessage()) is None
 
 
 class _Reading:
@@ -449,7 +437,7 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
     One line for each offer, and for each change after that. What cannot be opened is tried again.
     With --once the exit code is 4 where one could not be opened.
     """
-    with leaving_out(_Repeated(_OFFER)), open_robot(file) as robot:
+    with leaving_out(_OFFER), open_robot(file) as robot:
         if not robot.config.offers:
             fail(f"{file} has no `offer:`", CONFIGURATION, "UOA-104")
         statuses = robot.offer()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from attrs import frozen
 from uoarm import RobotManager
 from uoarm._checks import plugin_facts
 from uoarm._origin import install_command
-from uoarm.bridge import Registry
 from uoarm.cli._discover import looking
 from uoarm.cli._output import clear, echo, output, styled
 from uoarm.cli._remote import Remote, asked, remote_options
@@ -34,7 +33,7 @@ from uoarm.cli._shared import (
     terminal_width,
 )
 from uoarm.errors import PluginError
-from uoarm.model import BridgeFindings, FunctionStatus, format_status, to_json, write_json
+from uoarm.model import FunctionStatus, format_status, to_json, write_json
 
 
 def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool) -> None:
@@ -132,53 +131,37 @@ def show_frameworks(file: str, *, as_json: bool) -> None:
             provided.setdefault(component.bridge, {})[component.function] = None
         facts = plugin_facts(robot.registry)
         found = [
-            _framework(
-                finding,
-                facts,
+            Framework(
+                finding.bridge,
+                finding.plugin,
                 finding.bridge in given.bridges,
+                not finding.cause,
+                finding.cause,
+                facts.get(finding.plugin, {}),
+                tuple(component.name for component in finding.components),
+                sum(len(component.ports) for component in finding.components),
                 tuple(provided.get(finding.bridge, ())),
+                finding.error_code,
             )
             for finding in findings
         ]
-        found += _broken(robot.registry, facts)
+        found += [
+            Framework(
+                "",
+                problem.name,
+                False,
+                False,
+                problem.cause,
+                facts.get(problem.name, {}),
+                error_code=PluginError.error_code,
+            )
+            for problem in robot.registry.problems
+        ]
     if as_json:
         print_json(found)
     else:
         echo(fitted("\n".join(map(str, found))) or "no bridge plugin is installed")
     sys.exit(0 if any(framework.is_reachable for framework in found) else BRIDGE)
-
-
-def _framework(
-    findings: BridgeFindings,
-    facts: Mapping[str, Mapping[str, str]],
-    is_configured: bool,  # noqa: FBT001 - a fact like the others
-    functions: tuple[str, ...],
-) -> Framework:
-    return Framework(
-        findings.bridge,
-        findings.plugin,
-        is_configured,
-        not findings.cause,
-        findings.cause,
-        facts.get(findings.plugin, {}),
-        tuple(component.name for component in findings.components),
-        sum(len(component.ports) for component in findings.components),
-        functions,
-        findings.error_code,
-    )
-
-
-def _broken(registry: Registry, facts: Mapping[str, Mapping[str, str]]) -> Iterator[Framework]:
-    for problem in registry.problems:
-        yield Framework(
-            "",
-            problem.name,
-            False,
-            False,
-            problem.cause,
-            facts.get(problem.name, {}),
-            error_code=PluginError.error_code,
-        )
 
 
 @click.command()

@@ -13,7 +13,7 @@ import click
 from uoarm import RobotManager
 from uoarm._raised import foreign, sentence_of
 from uoarm.bridge import Registry
-from uoarm.cli._discover import rows, with_every_plugin
+from uoarm.cli._discover import changed_rows, with_every_plugin
 from uoarm.cli._output import echo, styled
 from uoarm.cli._serve import listening_options, say, stop_file_of, stopping
 from uoarm.cli._shared import (
@@ -129,7 +129,8 @@ class _Follower:
             self._manager.apply(grown, revision=revision)
         before, self._findings = self._findings, findings
         if not self._as_json:
-            self._print_findings(before, findings)
+            for mark, row in changed_rows(before, findings):
+                self._echo(f"{mark} {row}")
         functions = {name: self._plan_text(name) for name in self._manager.config.functions}
         others, self._functions = self._functions, functions
         if not self._as_json:
@@ -147,15 +148,6 @@ class _Follower:
         except UoarmError as error:
             return f"unavailable: {str(error).splitlines()[-1].strip().removeprefix('- ')}"
         return " -> ".join(step.component.name for step in plan.steps)
-
-    def _print_findings(
-        self, before: tuple[BridgeFindings, ...], after: tuple[BridgeFindings, ...]
-    ) -> None:
-        for mark, shown, known_before in (("-", before, after), ("+", after, before)):
-            known = set(rows(known_before))
-            for row in rows(shown):
-                if row not in known:
-                    self._echo(f"{mark} {row}")
 
 
 @contextmanager

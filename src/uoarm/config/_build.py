@@ -49,7 +49,8 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     functions = {name: _function(name, item, meaning) for name, item in value["functions"].items()}
     asked = value.get("applications", {})
     applications = {name: tuple(names) for name, names in asked.items()}
-    failover = _failover(value.get("failover", {}))
+    failover = value.get("failover", {})
+    limits = FailureLimits(**failover.get("failing", {}))
     hosts = _listening(value["hosts"], origin) if "hosts" in value else None
     offers = tuple(
         _offer(bridge, function, item, _at_level(value["functions"][function], meaning))
@@ -66,7 +67,7 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
         warnings,
         file,
         applications,
-        failover,
+        FailoverPolicy(**{**failover, "failing": limits}),
         hosts,
         offers,
         lock,
@@ -79,10 +80,6 @@ def _record(value: Mapping[str, Any], origin: str) -> RecordSettings:
     options = {key: item for key, item in value.items() if key not in {"functions", "path"}}
     path = _located(value["path"], origin) if origin else value["path"]
     return RecordSettings(tuple(value["functions"]), path, options)
-
-
-def _failover(value: Mapping[str, Any]) -> FailoverPolicy:
-    return FailoverPolicy(**{**value, "failing": FailureLimits(**value.get("failing", {}))})
 
 
 def _listening(value: Mapping[str, Any], origin: str) -> Listening:

@@ -471,10 +471,6 @@ _EVENT_CODES: Mapping[tuple[str, str], str] = {
 }
 
 
-def _event_code(subject: str, change: str) -> str:
-    return _EVENT_CODES.get((subject.partition(" ")[0], change), "")
-
-
 @frozen
 class StatusEvent:
     """One change, in the order in which it happened.
@@ -498,7 +494,10 @@ class StatusEvent:
     cause: str = ""
     function: str = ""
     error_code: str = field(
-        default=Factory(lambda event: _event_code(event.subject, event.change), takes_self=True)
+        default=Factory(
+            lambda event: _EVENT_CODES.get((event.subject.partition(" ")[0], event.change), ""),
+            takes_self=True,
+        )
     )
 
     def __str__(self) -> str:

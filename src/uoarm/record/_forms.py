@@ -155,13 +155,9 @@ _EVENT_SCHEMA = {
 }
 
 
-def _encode_event(message: Message) -> bytes:
-    return write_json(message).encode()
-
-
 EVENTS = ChannelForm(
     EVENTS_TOPIC, "uoarm.Event", "jsonschema", write_json(_EVENT_SCHEMA).encode(), "json",
-    _encode_event,
+    lambda message: write_json(message).encode(),
 )  # fmt: skip
 """The channel of events, in every file with other channels of JSON."""
 

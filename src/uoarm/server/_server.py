@@ -259,7 +259,7 @@ class Server:
             limits,
             self._totals,
             self._connected,
-            health=self._health,
+            health=lambda: {"status": "ok", "clients": len(self._clients)},
             metrics=metrics,
             others=only or self._front_ends,
         )
@@ -356,7 +356,7 @@ class Server:
         try:
             await client.run(session, socket, self.backend.mailbox.soon)
         except Exception as error:  # noqa: BLE001 - a front end may raise anything
-            text = f"{_module_of(session)} failed for client {client.identity}"
+            text = f"{type(session).__module__} failed for client {client.identity}"
             self._records.write(logging.ERROR, text, error)
             await socket.close(CloseCode.INTERNAL_ERROR, "the server failed")
         finally:
@@ -370,7 +370,7 @@ class Server:
         try:
             foreign(session.close)
         except Exception as error:  # noqa: BLE001 - a front end may raise anything
-            text = f"{_module_of(session)} failed when it was closed"
+            text = f"{type(session).__module__} failed when it was closed"
             self._records.write(logging.ERROR, text, error)
         client.account.close()
         self._totals.add(client)
@@ -416,9 +416,6 @@ class Server:
             self._crowd = count
             await asyncio.to_thread(give_memory_back)
 
-    def _health(self) -> dict[str, object]:
-        return {"status": "ok", "clients": len(self._clients)}
-
 
 async def _in_turns(items: Iterable[T]) -> AsyncIterator[T]:
     """Go over what there is now, a few in each of the loop's turns: each costs some 5 us."""
@@ -433,11 +430,6 @@ def _take_end(front_end: FrontEnd, serving: asyncio.Task[None]) -> None:
     if not serving.cancelled():
         text = f"{front_end} has ended"
         LimitedLog(_log).write(logging.ERROR, text, serving.exception())
-
-
-def _module_of(session: Session) -> str:
-    """Return whose session it is, for the log."""
-    return type(session).__module__
 
 
 async def _repeat(action: Callable[[], Awaitable[None]], what: str) -> None:

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from uoarm.schema import follow
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from hypothesis.strategies import SearchStrategy
 
 Item = TypeVar("Item")
@@ -267,7 +265,7 @@ def choose_type(choices: Choices, parts: Iterable[Keywords]) -> str | None:
     for part in parts:
         declared = part.get("type")
         if declared is not None:
-            names = {declared} if isinstance(declared, str) else set(_strings(declared))
+            names = {declared} if isinstance(declared, str) else set(_list(part, "type"))
             if "number" in names:
                 names.add("integer")
             allowed &= names
@@ -277,11 +275,6 @@ def choose_type(choices: Choices, parts: Iterable[Keywords]) -> str | None:
         return choices.item(likely)
     ordered = [name for name in _TYPES if name in allowed]
     return choices.item(ordered) if ordered else None
-
-
-def _strings(value: object) -> Iterator[str]:
-    if isinstance(value, list):
-        yield from (name for name in value if isinstance(name, str))
 
 
 class TooLargeError(ValueError):

@@ -13,9 +13,6 @@ from jsonschema import Draft202012Validator
 
 from uoarm.testing._instance_builder import CHARACTERS, Builder, DrawnChoices, TooLargeError, chance
 
-if TYPE_CHECKING:
-    from uoarm.testing._instance_builder import Choices
-
 _OTHERS: tuple[object, ...] = (None, True, False, 0, 1, -1, 0.5, "", "a", [], [0], {}, {"x": 0})
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

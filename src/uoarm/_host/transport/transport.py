@@ -42,8 +42,8 @@ class Transport(ABC):
     """
 
     def __init__(self) -> None:
-        self.ahead: Callable[[], int] = _same_clock
-        self.clock: Callable[[], int] = _boot_nanoseconds
+        self.ahead: Callable[[], int] = lambda: 0
+        self.clock: Callable[[], int] = lambda: int(boot_seconds() * 1e9)
 
     @abstractmethod
     def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
@@ -153,14 +153,6 @@ def read_answer(frame: Frame, key: str) -> Any:
                 raise from_failure(value)
     text = f"asking {key}: the answer is none of this link: {str(report)[:40]}"
     raise BridgeError(text, FailureReason.CONTRACT)
-
-
-def _same_clock() -> int:
-    return 0
-
-
-def _boot_nanoseconds() -> int:
-    return int(boot_seconds() * 1e9)
 
 
 class RequestWorkers:

@@ -257,10 +257,6 @@ def _values(node: SchemaNode, value: Any, _: Child, key_of: KeyOf) -> None:
     node.values = values
 
 
-def _const(node: SchemaNode, value: Any, child: Child, key_of: KeyOf) -> None:
-    _values(node, [value], child, key_of)
-
-
 READERS: dict[str, Reader] = {
     **{keyword: _single(field) for keyword, field in _SINGLE.items()},
     **{keyword: _several(field) for keyword, field in _SEVERAL.items()},
@@ -275,7 +271,7 @@ READERS: dict[str, Reader] = {
     "uniqueItems": _plain("unique"),
     "dependentRequired": _dependent_required,
     "enum": _values,
-    "const": _const,
+    "const": lambda node, value, child, key_of: _values(node, [value], child, key_of),
 }
 """What takes a keyword but a reference into a node; each returns what it means, to be compared.
 

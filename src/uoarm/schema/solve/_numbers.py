@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from fractions import Fraction
-from itertools import product
+from itertools import count, product
 from typing import Any, TypeAlias
 
 from attrs import frozen
@@ -104,26 +104,13 @@ def _on_lattice(
 def _outwards(least: int | None, most: int | None) -> Iterable[int]:
     """Yield every whole number of an interval, near zero or near a bound first."""
     if least is None and most is None:
-        at = 0
-        while True:
-            yield at
-            at = -at if at > 0 else 1 - at
-    elif least is None:
-        assert most is not None
-        at = min(most, 0)
-        yield from range(max(at, 0), most + 1)
-        while True:
-            yield at
-            at -= 1
-    elif most is None:
-        at = max(least, 0)
-        while True:
-            yield at
-            at += 1
-    else:
-        start = min(max(least, 0), most)
-        yield from range(start, most + 1)
-        yield from range(start - 1, least - 1, -1)
+        yield 0
+        for at in count(1):
+            yield from (at, -at)
+    start = 0 if least is None else max(least, 0)
+    start = start if most is None else min(start, most)
+    yield from count(start) if most is None else range(start, most + 1)
+    yield from count(start - 1, -1) if least is None else range(start - 1, least - 1, -1)
 
 
 def _anywhere(

@@ -151,7 +151,7 @@ def _search(solver: Solver, state: SearchState) -> Asking:
         if forced is not None:
             if not state.add(forced):
                 return UNSATISFIABLE
-            if _is_finite(state):
+            if any(atom[0] == "in" for atom in state.atoms):  # it is one of these values
                 return (yield _search(solver, state))
             if not _exclude_composites(solver, state):
                 return UNSATISFIABLE
@@ -166,10 +166,6 @@ def _view(state: SearchState) -> ObjectView | ArrayView | None:
     if state.kind == "object":
         return ObjectView(state.atoms)
     return ArrayView(state.atoms) if state.kind == "array" else None
-
-
-def _is_finite(state: SearchState) -> bool:
-    return any(atom[0] == "in" for atom in state.atoms)
 
 
 def _branch(solver: Solver, state: SearchState) -> Asking:

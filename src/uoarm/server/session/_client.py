@@ -160,7 +160,8 @@ class ConnectedClient(AdmittedClient):
             if self.is_leaving:
                 await result_within(self.limits.handshake_seconds, self.outbox.emptied())
         except ConnectionClosed as error:
-            self.has_dropped = not self.is_cut and _is_drop(error)
+            is_closed = error.rcvd is not None or error.sent is not None  # by one of the sides
+            self.has_dropped = not self.is_cut and not is_closed
         except asyncio.TimeoutError:
             self.cut("it does not read its replies")
         finally:
@@ -257,8 +258,3 @@ def _take_pong(answered: Callable[[], None], pong: asyncio.Future[float]) -> Non
     """Have the answer to a ping taken; none comes where the connection has ended."""
     if not pong.cancelled() and pong.exception() is None:
         answered()
-
-
-def _is_drop(error: ConnectionClosed) -> bool:
-    """Say whether a connection broke: neither side closed it."""
-    return error.rcvd is None and error.sent is None

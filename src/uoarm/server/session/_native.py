@@ -83,14 +83,15 @@ class Shared:
         robot, views = registry.robot, registry.role_views
         self.lists = FunctionLists(lambda: robot.config, views)
         self.sessions: dict[NativeSession, None] = {}
-        self.status = StatusViews(robot.status, registry.past, views, self._who)
+        # Of a copy, which the interpreter makes in one go: sessions come and go meanwhile.
+        self.status = StatusViews(
+            robot.status,
+            registry.past,
+            views,
+            lambda: [session.who() for session in tuple(self.sessions)],
+        )
         self.recordings = RecordingRequests(registry, folder)
         self.records = LimitedLog(_log)
-
-    def _who(self) -> list[dict[str, Any]]:
-        """Return whose sessions there are, in the thread of the views."""
-        # A copy, which the interpreter makes in one go: sessions come and go meanwhile.
-        return [session.who() for session in tuple(self.sessions)]
 
 
 class NativeSession:

@@ -25,15 +25,6 @@ from uoarm.server.streams._input_sender import Done, InputSender, Read
 from uoarm.server.streams._memory import Account
 
 
-def _as_it_is(structure: MessageStructure, message: Message) -> Message:
-    del structure
-    return message
-
-
-def _any_plan(plan: Plan) -> None:
-    del plan
-
-
 class GoalStatus(IntEnum):
     """How a goal stands, with the numbers of `action_msgs/msg/GoalStatus`."""
 
@@ -70,8 +61,8 @@ class Goal:
     on_failure: Callable[[BaseException], None]
     octets: int = 0
     kind: str = ""
-    read: Read = _as_it_is
-    check: Callable[[Plan], None] = _any_plan
+    read: Read = lambda _, message: message
+    check: Callable[[Plan], object] = lambda _: None
     ended: bool = field(default=False, init=False)
 
     def feed(self, values: Message) -> None:

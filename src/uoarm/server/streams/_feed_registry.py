@@ -496,7 +496,7 @@ class FeedRegistry:
         self.mailbox.close()
 
     async def _open(self, wanted: FeedKey, feed: Feed) -> None:
-        take = feed.take if wanted.receive else _ignore
+        take = feed.take if wanted.receive else lambda _: None
         function = wanted.function
         if not wanted.receive and function in self._receiving:
             # What was to be received before this one sends must be there for the answer: a client
@@ -582,8 +582,3 @@ def _request(
         on_message=take if outputs else None,
         timeout=timeout,
     )
-
-
-def _ignore(message: Message) -> None:
-    """Take the messages of a connection that is open for sending only."""
-    del message
