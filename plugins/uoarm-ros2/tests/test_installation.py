@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -118,6 +120,25 @@ def test_without_known_libraries_no_middleware_is_missing(tmp_path: Path) -> Non
         assert "only none" in absent_middleware(environment)
         (tmp_path / "librmw_none_cpp.so").touch()
         assert absent_middleware(environment) == ""
+
+
+def test_a_package_whose_libraries_are_not_found_is_named(tmp_path: Path) -> None:
+    """As where PYTHONPATH has a workspace and LD_LIBRARY_PATH lacks it."""
+    package = files("std_srvs")
+    shutil.copytree(str(package), tmp_path / "std_srvs", ignore=shutil.ignore_patterns("*.so"))
+    code = (
+        "from uoarm.bridge import Registry\n"
+        "from uoarm.model import BridgeSpec, Endpoint, Role\n"
+        "at = Endpoint('ros', 'lamp', Role.SERVICE, ('/lamp', 'std_srvs/srv/SetBool'))\n"
+        "bridge = Registry().create(BridgeSpec('ros', 'ros2', {}))\n"
+        "try: bridge.serve(at, print)\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
+        "bridge.close()\n"
+    )
+    text = output(code, PYTHONPATH=f"{tmp_path}")
+    wanted = "BridgeError opening an end of ROS 2: the libraries of package 'std_srvs' cannot be "
+    assert text.startswith(wanted)
+    assert "source the workspace" in text
 
 
 def test_importing_the_plugin_imports_no_middleware() -> None:

@@ -678,7 +678,21 @@ def _is_there(bridge: Bridge, topic: str) -> bool:
             {"qos": {"depht": 1}},
             r"qos.depht: unknown key .* \(did you mean",
         ),
-        (("/a", INT64), {"qos": {"deadline": -1}}, r"option \$.qos.deadline: expected more than 0"),
+        (
+            ("/a", INT64),
+            {"qos": {"deadline": -1}},
+            "qos.deadline: expected at least 1e-09",
+        ),
+        (
+            ("/a", INT64),
+            {"qos": {"deadline": 1e12}},
+            "qos.deadline: expected at most 1000000000",
+        ),
+        (
+            ("/a", INT64),
+            {"qos": {"lifespan": 1e12}},
+            "qos.lifespan: expected at most 1000000000",
+        ),
         (("/a", INT64), {"qos": "atuo"}, r"option \$.qos: expected text such as auto, got"),
         (
             ("/a", INT64),

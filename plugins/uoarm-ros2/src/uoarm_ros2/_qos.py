@@ -13,7 +13,9 @@ _DEPTH = 100
 _DEPTH_OF_LARGE = 5  # a queue of pictures is a delay: a hundred of 1080p are 600 MB
 AUTO_ONLY: Mapping[str, object] = {"pattern": "^auto$", "examples": ["auto"]}
 """The only text that may be written where something else may be, too."""
-_AUTO_SECONDS = {"type": ["number", "string", "null"], "exclusiveMinimum": 0, **AUTO_ONLY}
+# Nanoseconds of 64 bits count them; of less than one ROS 2 makes no limit.
+_COUNTABLE = {"minimum": 1e-9, "maximum": 1_000_000_000}
+_AUTO_SECONDS = {"type": ["number", "string", "null"], **_COUNTABLE, **AUTO_ONLY}
 
 
 @frozen
@@ -82,7 +84,7 @@ class QosOptions(EndpointOptions):
     )
     lifespan: float | None = option(
         None,
-        {"type": ["number", "null"], "exclusiveMinimum": 0},
+        {"type": ["number", "null"], **_COUNTABLE},
         "seconds after which an unread message is dropped; left out: none",
         unit="s",
     )

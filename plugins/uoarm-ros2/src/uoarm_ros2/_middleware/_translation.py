@@ -17,6 +17,7 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
+from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._qos import Policies
@@ -30,7 +31,8 @@ def rclpy_errors(what: str) -> Iterator[None]:
     rclpy's signal handlers end its context.
 
     Raises:
-        BridgeError: with CLOSED, the handle was put away; with RAISED, anything else.
+        BridgeError: with CLOSED, the handle was put away; with UNSUPPORTED, the libraries of a type
+            are not found; with RAISED, anything else.
     """
     try:
         yield
@@ -38,6 +40,12 @@ def rclpy_errors(what: str) -> Iterator[None]:
         raise BridgeError(f"{what}: the bridge was closed", FailureReason.CLOSED) from None
     except _rclpy.RCLError as error:
         raise BridgeError(f"{what}: {error}", FailureReason.RAISED) from error
+    except UnsupportedTypeSupport as error:
+        text = (
+            f"{what}: the libraries of package {error.pkg_name!r} cannot be loaded "
+            f"({error.__context__}): source the workspace that provides them, or build it anew"
+        )
+        raise BridgeError(text, FailureReason.UNSUPPORTED) from error
 
 
 _NANOSECONDS = 1_000_000_000
