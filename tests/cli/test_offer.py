@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -117,8 +118,9 @@ def test_what_fails_is_printed_once_on_a_terminal_and_ending_it_is_no_failure(
     assert seen.text.count("python:text failed") == 1, seen.text
 
 
-def test_it_ends_where_what_reads_its_output_has_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("number", [errno.EPIPE, errno.ENOSPC])
+def test_it_ends_where_nothing_more_can_be_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     (tmp_path / "parts.py").write_text(PARTS)
     offers = "offer: {python: {count: {output: {endpoint: ['parts:take']}}}}"
@@ -128,7 +130,7 @@ def test_it_ends_where_what_reads_its_output_has_ended(
     def echo(text: object) -> None:
         printed.append(text)
         if len(printed) > 1:
-            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+            raise OSError(number, os.strerror(number))
 
     def listen(robot: RobotManager, listener: Callable[[StatusEvent], None]) -> None:
         listener(StatusEvent(1, 0.0, "offer python:count", "failed", "its consumer has died"))

@@ -198,9 +198,13 @@ def test_looking_goes_on_after_anything_that_a_plugin_raises_and_says_it_once(
     assert capsys.readouterr().err == "looking for components failed: SystemExit: 3\n"
 
 
-def test_it_ends_where_what_reads_its_output_has_ended() -> None:
+@pytest.mark.parametrize("is_full", [False, True])
+def test_it_ends_where_nothing_more_can_be_printed(*, is_full: bool) -> None:
     read, write = os.pipe()
     os.close(read)
+    if is_full:
+        os.close(write)
+        write = os.open("/dev/full", os.O_WRONLY)
     ended = threading.Event()
     former = signal.signal(signal.SIGTERM, lambda *_: ended.set())
 
@@ -212,7 +216,10 @@ def test_it_ends_where_what_reads_its_output_has_ended() -> None:
     try:
         with RobotManager(loads(EMPTY), bridges={"lab": lab}) as manager:
             looking = _up._Follower(manager, as_json=False, echo=echo)
-            with pytest.raises(BrokenPipeError), _up._following(looking, 0.001):
+            with (
+                pytest.raises(OSError, match="No space" if is_full else "Broken pipe"),
+                _up._following(looking, 0.001),
+            ):
                 wait(ended.is_set)
     finally:
         signal.signal(signal.SIGTERM, former)

@@ -457,7 +457,7 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
 
 def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: bool) -> None:
     """Print each change since these were printed, until the sources of all have finished."""
-    over, unwritten = threading.Event(), list[BrokenPipeError]()
+    over, unwritten = threading.Event(), list[OSError]()
     reports = {f"offer {status.name}": (status.state.value, status.cause) for status in statuses}
 
     def print_event(event: StatusEvent) -> None:
@@ -470,7 +470,7 @@ def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: 
             ):
                 echo(write_json(to_json(event)) if as_json else event)
             is_over = _is_over(robot.status().offers)
-        except BrokenPipeError as error:  # what reads it has ended
+        except OSError as error:  # what reads it has ended, or a disk is full
             unwritten.append(error)
         if is_over:
             over.set()

@@ -14,7 +14,7 @@ from uoarm import RobotManager
 from uoarm._raised import foreign, sentence_of
 from uoarm.bridge import Registry
 from uoarm.cli._discover import changed_rows, with_every_plugin
-from uoarm.cli._output import echo, styled
+from uoarm.cli._output import UNWRITTEN, echo, styled
 from uoarm.cli._serve import listening_options, say, stop_file_of, stopping
 from uoarm.cli._shared import (
     DefaultConfiguration,
@@ -161,11 +161,11 @@ def _following(follower: _Follower, every: float) -> Iterator[None]:
             failure = ""
             try:
                 foreign(follower.look)
-            except BrokenPipeError as error:  # of what is printed: its reader has ended
-                unwritten.append(error)
-                signal.raise_signal(signal.SIGTERM)
-                return
             except Exception as error:  # noqa: BLE001 - plugins and what is printed may raise anything
+                if isinstance(error, OSError) and error.errno in UNWRITTEN:
+                    unwritten.append(error)
+                    signal.raise_signal(signal.SIGTERM)
+                    return
                 failure = sentence_of(error)
             if failure not in {"", said} and not over.is_set():
                 echo(f"looking for components failed: {failure}", err=True)
