@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tests.cli.terminal import on_a_terminal
 from tests.host.joined import robot
 
 from uoarm.cli import main
@@ -47,3 +49,14 @@ def test_a_bridge_of_another_machine_has_no_xml_rpc_here(tmp_path: Path) -> None
     done = CliRunner().invoke(main, ["host", "far", "--xmlrpc", "0", "-f", str(file)])
     assert done.exit_code == 4
     assert "bridge 'far' is on machine 'arm': ask its manager" in done.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_to_end_what_answers_over_xml_rpc_is_no_failure(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    text = "version: 1\nbridges: {python: {}}\nfunctions: {}\n"
+    (tmp_path / "robot.yaml").write_text(text, encoding="utf-8")
+    words = ["host", "python", "--xmlrpc", "0"]
+    seen = on_a_terminal(words, tmp_path, interrupt_at="/RPC2", number=number)
+    assert seen.code == 0, seen.text

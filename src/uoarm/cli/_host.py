@@ -140,6 +140,8 @@ def _answer(bridge: str, port: int, file: str) -> None:
         echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
         try:
             wait_for(threading.Event())
+        except (KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how answering ends
+            pass
         finally:
             face.close()
     finally:
