@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -11,6 +12,7 @@ import click
 import pytest
 from click.testing import CliRunner, Result
 from tests.cli.commands import members
+from tests.processes import run_program
 
 from uoarm.bridge import Registry
 from uoarm.cli import _discover, main
@@ -134,6 +136,41 @@ def test_what_is_no_file_is_a_configuration_that_cannot_be_read(
     done = run(name, *WORDS.get(name, []), *more.get(name, []), place)
     assert done.exit_code == 3, done.output
     assert f"{place}: the file cannot be read: it is {kind}" in done.output
+
+
+@pytest.mark.parametrize("words", [["check"], ["check", "-f"], ["suggest", "--merge"]])
+def test_what_this_user_may_not_read_is_a_file_that_cannot_be_read(
+    tmp_path: Path, words: list[str]
+) -> None:
+    """Root may read it all the same, but for the capabilities that are dropped here."""
+    (tmp_path / "robot.yaml").write_text(ROBOT, encoding="utf-8")
+    (tmp_path / "locked.yaml").touch(mode=0)
+    drop = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
+    run_main = [sys.executable, "-c", "from uoarm.cli import main; main()", *words, "locked.yaml"]
+    done = run_program(*([] if os.geteuid() else drop), *run_main, cwd=tmp_path)
+    assert done.returncode == 3, done.stderr
+    expected = "error: locked.yaml: the file cannot be read: Permission denied\n"
+    assert done.stderr.startswith(expected), done.stderr
+
+
+@pytest.mark.parametrize("words", [["lock"], ["types", "--python"]])
+@pytest.mark.parametrize("place", ["", ".", "/"])
+def test_no_lock_is_sought_beside_a_folder(words: list[str], place: str) -> None:
+    done = run(*words, place)
+    assert (done.exit_code, done.stdout) == (3, "")
+    assert "the file cannot be read: it is a folder" in done.stderr
+
+
+@pytest.mark.parametrize("name", [b"loop.yaml", b"\xff.yaml"])
+def test_a_server_says_of_any_name_why_its_file_cannot_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: bytes
+) -> None:
+    """The state of its robot has a place by the name, links followed."""
+    monkeypatch.chdir(tmp_path)
+    Path("loop.yaml").symlink_to("loop.yaml")
+    done = run("serve", os.fsdecode(name), "--port", "0")
+    assert done.exit_code == 3, done.output
+    assert "the file cannot be read: " in done.stderr
 
 
 @pytest.mark.parametrize("name", ["resolve", "request", "call"])

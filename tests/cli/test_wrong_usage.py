@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -154,6 +155,27 @@ def test_a_lock_that_cannot_be_written_is_said_with_the_name_that_was_given(
     assert done.exit_code == 3, done.output
     assert "cannot be written" in done.stderr
     assert f"'{target}'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["types", "--python", "-o"],
+        ["lock", "--lock"],
+        ["check", "--recording"],
+        ["new-bridge", "mine", "--into"],
+        ["doctor", "--service", "--unit"],
+    ],
+    ids=lambda words: words[-1],
+)
+def test_a_name_that_no_file_can_have_is_an_error_and_no_crash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("robot.yaml").write_text("version: 1\nbridges: {}\nfunctions: {}\n")
+    done = CliRunner().invoke(main, [*words, f"./{'long' * 100}.yaml"])
+    assert done.exit_code == 1, done.output
+    assert re.search(r"^error: \S*long.*File name too long", done.stderr, re.MULTILINE)
 
 
 def test_a_suggestion_that_cannot_be_written_is_said(

@@ -84,7 +84,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
 @click.option(
     "--merge",
     "into",
-    type=click.Path(dir_okay=False),
+    type=click.Path(readable=False),
     help="Add the lines to this file, which stays as it is otherwise and is made where there is "
     "none; with no FILE it is read, too.",
 )

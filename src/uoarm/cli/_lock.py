@@ -324,7 +324,7 @@ def _beside(file: str) -> Path:
     """
     if not Path(file).exists():
         load(file)
-    return Path(file).with_name("robot.lock")
+    return Path(file).parent / "robot.lock"
 
 
 def _write_file(path: Path, text: str) -> None:

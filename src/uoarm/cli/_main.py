@@ -115,6 +115,10 @@ class PluginGroup(click.Group):
             fail(error.format_message(), error.exit_code)
         except UoarmError as error:
             fail(error, exit_code_of(error))
+        except OSError as error:  # as where a folder may not be searched, or a name is too long
+            if error.filename is None:
+                raise
+            fail(f"{error.filename}: {error.strerror}", REFUSED, "UOA-003")
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return our own commands, then those of plugins."""

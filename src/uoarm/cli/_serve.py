@@ -275,8 +275,8 @@ _KEYWORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "
 
 def stop_file_of(configuration: str) -> Path:
     """Return where it is kept that the robot of a configuration file is stopped."""
-    path = str(Path(configuration).resolve())
-    return user_folder("state") / "stopped" / hashlib.sha256(path.encode()).hexdigest()[:32]
+    path = os.fsencode(os.path.realpath(configuration))  # pathlib's raises where links are a loop
+    return user_folder("state") / "stopped" / hashlib.sha256(path).hexdigest()[:32]
 
 
 @contextmanager

@@ -36,6 +36,7 @@ _NAMED = 20
 _MOST_OCTETS = 10_000_000  # as configurations have at most
 STANDARD = "robot.yaml"
 CONFIGURATION_ENDINGS = (".yaml", ".yml")
+_CONFIGURATION = click.Path(readable=False)  # whether it can be read is said as it is
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
@@ -411,12 +412,12 @@ def takes_configuration(
             "file",
             envvar="UOARM_CONFIG",
             show_default=unnamed.value,
-            type=click.Path(),
+            type=_CONFIGURATION,
             help="Configuration file, in place of FILE; also UOARM_CONFIG.",
         )
         if listed:
             return cast("_Command", option(with_file))
-        argument = click.argument("place", metavar="[FILE]", required=False, type=click.Path())
+        argument = click.argument("place", metavar="[FILE]", required=False, type=_CONFIGURATION)
         return cast("_Command", argument(option(with_file)))
 
     return add

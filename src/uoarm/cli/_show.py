@@ -52,7 +52,7 @@ _SECONDS = 60.0
 @click.option(
     "--recording",
     "recordings",
-    type=click.Path(path_type=Path),
+    type=click.Path(readable=False, path_type=Path),
     multiple=True,
     help="Hold what was recorded against the configuration of today instead; may be repeated.",
 )

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 import uuid
 from collections.abc import Collection, Mapping
-from pathlib import Path
 from threading import Event
 from typing import Any
 
@@ -62,7 +62,7 @@ class HostAgent:
         self._machine = machine
         self._more = {} if identity is None else identity.settings(listen=False)
         self._bridges = tuple(bridges) or (keys.ANY_BRIDGE,)
-        self._modules = str(Path(modules).resolve())
+        self._modules = os.path.realpath(modules)
         self._silence = silence
         self._registry = registry or Registry()
         self._name = uuid.uuid4().hex[:12]
