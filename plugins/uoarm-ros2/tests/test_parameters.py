@@ -72,3 +72,16 @@ def test_where_any_type_may_be_the_value_says_it() -> None:
     assert made["type"] == DOUBLE
     with pytest.raises(ValueError, match="does not say what it would hold"):
         value_for([], descriptor(0))
+
+
+@pytest.mark.parametrize("value", ["seven", ["a"], True, 0.5])
+def test_a_range_of_integers_says_nothing_of_other_values(value: object) -> None:
+    stated = {"integer_range": [{"from_value": 5, "to_value": 10, "step": 1}]}
+    assert value_for(value, {**descriptor(INTEGER, dynamic=True), **stated})
+
+
+def test_a_number_at_the_end_of_its_range_is_left_to_the_node() -> None:
+    stated = {"floating_point_range": [{"from_value": 0.0, "to_value": 0.3, "step": 0.1}]}
+    assert value_for(3 * 0.1, {**descriptor(DOUBLE), **stated})
+    with pytest.raises(ValueError, match=r"expected 0 to 0\.3, got 0\.31"):
+        value_for(0.31, {**descriptor(DOUBLE), **stated})

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 from uoarm.bridge import shown
@@ -41,6 +43,14 @@ _WORDS = {
     _STRINGS: "a list of texts",
 }
 _OF_ONE = {_BOOLS: _BOOL, _INTEGERS: _INTEGER, _DOUBLES: _DOUBLE, _STRINGS: _STRING}
+# A parameter of any type may have a range, which says nothing of a text.
+_RANGES = {
+    _INTEGER: "integer_range",
+    _INTEGERS: "integer_range",
+    _DOUBLE: "floating_point_range",
+    _DOUBLES: "floating_point_range",
+}
+_is_near = partial(math.isclose, rel_tol=1e-6)  # as rclpy takes it
 _MOST = 1000
 _MOST_ELEMENTS = 100_000
 _DEEPEST = 16
@@ -90,7 +100,7 @@ def value_for(value: object, descriptor: Mapping[str, Any]) -> Message:
     value = _listed(value)
     if not _TAKES[kind](value):
         raise ValueError(f"expected {_WORDS[kind]}, got {shown(value)}")
-    _in_range(value, descriptor)
+    _in_range(kind, value, descriptor)
     return {"type": kind, **_EMPTY, _FIELDS[kind]: _as_sent(kind, value)}
 
 
@@ -161,12 +171,16 @@ def _as_sent(kind: int, value: Any) -> object:
     return [float(item) for item in value] if kind == _DOUBLES else value
 
 
-def _in_range(value: Any, descriptor: Mapping[str, Any]) -> None:
-    """Raise ValueError for a number outside its range; steps of floats are left to the node."""
-    for stated in (*descriptor["integer_range"], *descriptor["floating_point_range"]):
+def _in_range(kind: int, value: Any, descriptor: Mapping[str, Any]) -> None:
+    """Raise ValueError for a number outside the range of its type.
+
+    Steps of floats, and whether one is near enough to the end of its range, are left to the node.
+    """
+    for stated in descriptor[_RANGES[kind]] if kind in _RANGES else ():
         low, high, step = stated["from_value"], stated["to_value"], stated["step"]
         for item in value if isinstance(value, list) else [value]:
-            if not low <= item <= high:
+            near = isinstance(low, float) and any(_is_near(item, end) for end in (low, high))
+            if not low <= item <= high and not near:
                 raise ValueError(f"expected {low:g} to {high:g}, got {item:g}")
             whole = isinstance(step, int) and step > 1 and item != high
             if whole and (item - low) % step:
