@@ -21,25 +21,24 @@ class ServerQuestions(ABC):
     async def ask(self, op: str, kind: str = "", **more: Any) -> Any:
         """Send a control message and return the `jsonMessage` of its answer."""
 
-    async def _answer(self, op: str, kind: str = "", **more: Any) -> Any:
+    async def _answer(self, op: str, kind: str = "", **more: Any) -> Mapping[str, Any]:
         """Ask, and return an answer that is what the protocol says.
 
         Raises:
             ControlMessageError: it is another; the text names the field.
         """
-        answer = await self.ask(op, kind, **more)
-        return checked_answer({"op": op, "type": kind, **more}, answer)
+        answer: Mapping[str, Any] = await self.ask(op, kind, **more)
+        checked_answer({"op": op, "type": kind, **more}, answer)
+        return answer
 
     async def functions(self) -> list[Mapping[str, Any]]:
         """Return the functions that one may see."""
-        listed: list[Mapping[str, Any]] = (await self._answer("List"))["functions"]
-        return listed
+        return list((await self._answer("List"))["functions"])
 
     @arguments()
     async def resolve(self, name: str) -> Mapping[str, Any]:
         """Return the plan of a function as data, and as text; raises ResolutionError."""
-        plan: Mapping[str, Any] = await self._answer("Resolve", name)
-        return plan
+        return await self._answer("Resolve", name)
 
     @arguments()
     async def configure(
@@ -98,13 +97,11 @@ class ServerQuestions(ABC):
         wanted: dict[str, Any] = {**what, "dry_run": dry_run, "force": force}
         if revision is not None:
             wanted["revision"] = revision
-        change: Mapping[str, Any] = await self._answer("Configure", jsonMessage=wanted)
-        return change
+        return await self._answer("Configure", jsonMessage=wanted)
 
     async def revisions(self) -> list[Mapping[str, Any]]:
         """Return the revisions of the configuration, the one in force last; needs `configure`."""
-        report: Mapping[str, Any] = await self._answer("Configure")
-        return list(report["revisions"])
+        return list((await self._answer("Configure"))["revisions"])
 
     async def discover(self) -> list[Mapping[str, Any]]:
         """Return what each bridge sees now; needs the right `see` for `*`.
@@ -113,8 +110,7 @@ class ServerQuestions(ABC):
             `bridge`, `plugin`, `configured`, `cause` where it sees nothing, `facts` of the plugin,
             `components` with their `ports`, `more` and `left_out`; also plugins without a bridge.
         """
-        report: Mapping[str, Any] = await self._answer("Discover")
-        return list(report["bridges"])
+        return list((await self._answer("Discover"))["bridges"])
 
     async def stop_all(self) -> Mapping[str, Any]:
         """Stop everything of the robot that moves, until `release`; needs the right `stop`.
@@ -126,8 +122,7 @@ class ServerQuestions(ABC):
         Raises:
             ServerError: the role may not.
         """
-        report: Mapping[str, Any] = await self._answer("Stop")
-        return report
+        return await self._answer("Stop")
 
     async def release(self) -> None:
         """Let commands through again; needs the right `release`.
@@ -145,8 +140,7 @@ class ServerQuestions(ABC):
             `approval`, `phase`, `requester`, `operation`, `function`, `arguments`, `digest`,
             `envelope`, `seconds`, `left`, `components`, `preview`, `approver`, `uses` and `cause`.
         """
-        report: Mapping[str, Any] = await self._answer("Approve")
-        return list(report["approvals"])
+        return list((await self._answer("Approve"))["approvals"])
 
     @arguments()
     async def approve(
@@ -166,8 +160,7 @@ class ServerQuestions(ABC):
         wanted: dict[str, Any] = {"approve": approve, "cause": cause}
         if digest:
             wanted["digest"] = digest
-        decided: Mapping[str, Any] = await self._answer("Approve", approval, jsonMessage=wanted)
-        return decided
+        return await self._answer("Approve", approval, jsonMessage=wanted)
 
     @arguments()
     async def record(
@@ -199,36 +192,25 @@ class ServerQuestions(ABC):
             "ring": ring,
         }
         options = {name: value for name, value in given.items() if value is not None}
-        begun: Mapping[str, Any] = await self._answer(
-            "Record", jsonMessage={"functions": list(functions), **options}
-        )
-        return begun
+        return await self._answer("Record", jsonMessage={"functions": list(functions), **options})
 
     async def recordings(self) -> Mapping[str, Any]:
         """Return the `recordings`, and for whom may record all also the `files` in their folder."""
-        found: Mapping[str, Any] = await self._answer("Record")
-        return found
+        return await self._answer("Record")
 
     @arguments()
     async def stop_recording(self, recording: str) -> Mapping[str, Any]:
         """End a recording and return what is in it; that of another needs the right `kill`, too."""
-        ended: Mapping[str, Any] = await self._answer(
-            "Record", recording, jsonMessage={"stop": True}
-        )
-        return ended
+        return await self._answer("Record", recording, jsonMessage={"stop": True})
 
     @arguments()
     async def dump_recording(self, recording: str) -> Mapping[str, Any]:
         """Write what a recording with a `ring` keeps in memory; `written` is the file."""
-        done: Mapping[str, Any] = await self._answer(
-            "Record", recording, jsonMessage={"dump": True}
-        )
-        return done
+        return await self._answer("Record", recording, jsonMessage={"dump": True})
 
     async def players(self) -> list[Mapping[str, Any]]:
         """Return where the recordings are that bridges play."""
-        report: Mapping[str, Any] = await self._answer("Play")
-        return list(report["players"])
+        return list((await self._answer("Play"))["players"])
 
     @arguments()
     async def playback(
@@ -244,8 +226,7 @@ class ServerQuestions(ABC):
         given = {"pause": pause, "rate": rate, "seek": seek, "step": step or None}
         wanted = {name: value for name, value in given.items() if value is not None}
         message: dict[str, Any] = {"jsonMessage": wanted} if wanted else {}
-        moved: Mapping[str, Any] = await self._answer("Play", bridge, **message)
-        return moved
+        return await self._answer("Play", bridge, **message)
 
 
 class ThreadAnswer:

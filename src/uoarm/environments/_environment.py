@@ -218,17 +218,8 @@ def examine(environment: Environment) -> EnvironmentFinding:
     name = environment.name
     if not environment.is_whole:
         return EnvironmentFinding(name, {}, f"its making was cut short: uoarm env remove {name}")
-    command = [str(environment_python(name)), "-I", "-c", _QUESTION]
     try:
-        done = subprocess.run(  # noqa: S603 - the environment's own interpreter
-            command,
-            capture_output=True,
-            env=passed_on(os.environ, is_environment=True),
-            text=True,
-            errors="replace",
-            timeout=_SECONDS,
-            check=False,
-        )
+        done = _run(environment_python(name), "-I", "-c", _QUESTION)
     except (OSError, subprocess.TimeoutExpired) as error:
         return EnvironmentFinding(name, {}, f"its interpreter does not run: {error}")
     if done.returncode != 0:
@@ -249,6 +240,18 @@ def examine(environment: Environment) -> EnvironmentFinding:
         problem = f"it has uoarm {theirs}, this is {__version__}: make it anew"
     return EnvironmentFinding(
         name, facts, problem, {} if problem else _unusable(environment_python(name))
+    )
+
+
+def _run(interpreter: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(  # noqa: S603 - the environment's own interpreter
+        [str(interpreter), *words],
+        capture_output=True,
+        env=passed_on(os.environ, is_environment=True),
+        text=True,
+        errors="replace",
+        timeout=_SECONDS,
+        check=False,
     )
 
 
@@ -274,16 +277,7 @@ def _unusable(interpreter: Path) -> dict[str, str]:
 def _answer(interpreter: Path, *words: str) -> dict[str, Any]:
     """Return the object of JSON that an interpreter prints; {} where it prints none."""
     try:
-        done = subprocess.run(  # noqa: S603 - the environment's own interpreter
-            [str(interpreter), *words],
-            capture_output=True,
-            env=passed_on(os.environ, is_environment=True),
-            text=True,
-            errors="replace",
-            timeout=_SECONDS,
-            check=False,
-        )
-        answer = json.loads(done.stdout)
+        answer = json.loads(_run(interpreter, *words).stdout)
     except (OSError, subprocess.TimeoutExpired, ValueError, RecursionError):
         return {}
     return answer if isinstance(answer, dict) else {}

@@ -47,7 +47,7 @@ class BagReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes: list[str] = []
-        self._channels: dict[str, FileChannel] = {}
+        self.channels: dict[str, FileChannel] = {}
         self._kinds: dict[str, tuple[object, ...]] = {}
         reader = self._open()
         try:
@@ -57,17 +57,12 @@ class BagReader:
             is_two = bool(reader.is2)
             for connection in reader.connections:
                 topic, kind = str(connection.topic), _kind(connection)
-                self._channels.setdefault(topic, _channel(connection, is_two=is_two))
+                self.channels.setdefault(topic, _channel(connection, is_two=is_two))
                 note = f"{topic} has messages of two types or definitions: the first is read"
                 if self._kinds.setdefault(topic, kind) != kind and note not in self.notes:
                     self.notes.append(note)
         finally:
             reader.close()
-
-    @property
-    def channels(self) -> Mapping[str, FileChannel]:
-        """The channels by topic."""
-        return self._channels
 
     def messages(
         self, topic: str, since: int, on_damage: Callable[[str], object]

@@ -141,13 +141,16 @@ class McapReader:
         path: of the file.
         follows: whether another process writes it still: there is no index then.
 
+    Attributes:
+        channels: by topic; more may come where it is followed.
+
     Raises:
         BridgeError: it is not there, or no MCAP file.
     """
 
     def __init__(self, path: Path, *, follows: bool = False) -> None:
         self.path, self._follows = path, follows
-        self._channels: dict[str, FileChannel] = {}
+        self.channels: dict[str, FileChannel] = {}
         self.notes: list[str] = []
         self._ids: dict[int, FileChannel] = {}
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
@@ -171,11 +174,6 @@ class McapReader:
         self._parts.sort(key=lambda part: part.start)
         self.start = min((part.start for part in self._parts), default=0)
         self.end = max((part.end for part in self._parts), default=0)
-
-    @property
-    def channels(self) -> Mapping[str, FileChannel]:
-        """The channels by topic; more may come where it is followed."""
-        return self._channels
 
     def messages(
         self, topic: str, since: int, on_damage: Callable[[str], object]
@@ -312,7 +310,7 @@ class McapReader:
         return is_whole
 
     def _forget(self) -> None:
-        self._channels, self._ids, self._schemas, self._parts = {}, {}, {}, []
+        self.channels, self._ids, self._schemas, self._parts = {}, {}, {}, []
         self._definitions, self._has_schemas = 0, True
         self.notes.clear()
 
@@ -451,7 +449,7 @@ class McapReader:
         name, kind, data = self._schemas.get(schema, ("", "", b""))
         channel = FileChannel(topic, encoding, name, kind, data, metadata)
         self._ids[number] = channel
-        known = self._channels.setdefault(topic, channel)
+        known = self.channels.setdefault(topic, channel)
         if not channel.is_like(known):
             self._note(f"{topic} has another channel of another kind, which is not read")
 
