@@ -6,12 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from typing_extensions import Self
 
-from uoarm.testing import patience
+from uoarm.testing import patience, wait
 
 _LAST_OCTETS = 4000
 
@@ -97,6 +99,28 @@ print("forked", flush=True)
 os.read(0, 1)  # until the test ends it
 os._exit(0)
 """
+
+
+@contextmanager
+def signal_beside(handle: Callable[[], object], waiting: Callable[..., object]) -> Iterator[None]:
+    """Have a signal handled while the main thread waits in a function, once in this block.
+
+    It comes in another thread, as the kernel may give it: so it ends no wait by itself.
+    """
+    main = threading.get_ident()
+
+    def send() -> None:
+        wait(lambda: sys._current_frames()[main].f_code is waiting.__code__)
+        signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
+
+    before = signal.signal(signal.SIGUSR1, lambda *_: handle())
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
+        signal.signal(signal.SIGUSR1, before)
 
 
 def hold_ends_all(*command: str) -> None:

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import Any, overload
 
 _STEP_SECONDS = 1.0
 _NUMBERS = int(signal.SIGINT), int(signal.SIGTERM)
@@ -150,6 +150,14 @@ def handlers_kept(numbers: Iterable[int]) -> Iterator[None]:
             _set_below(number, below)
         with suppress(OSError, ValueError):  # it was closed meanwhile
             signal.set_wakeup_fd(wakes)
+
+
+@overload
+def wait_step(left: float) -> float: ...
+
+
+@overload
+def wait_step(left: None = None) -> float | None: ...
 
 
 def wait_step(left: float | None = None) -> float | None:

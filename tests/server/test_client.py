@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.processes import signal_beside
 from tests.server.conftest import Serve
 from tests.server.robot import END, script
 from typing_extensions import assert_type
@@ -36,7 +37,7 @@ from uoarm.bridge import (
     Registry,
     ServiceStructures,
 )
-from uoarm.client import RemoteRobot, RemoteStream, ServerError, connect
+from uoarm.client import RemoteRobot, RemoteStream, ServerError, ThreadAnswer, connect
 from uoarm.client._socket import ClientSocket
 from uoarm.config import loads
 from uoarm.local import Shape
@@ -489,3 +490,9 @@ async def test_a_server_that_sends_rubbish_is_left_with_a_plain_error(frame: str
             said = f"the server at ws://127.0.0.1:{port} sent what is no message"
             with pytest.raises(ConnectionClosedError, match=said):
                 await asyncio.wait_for(client.request("numbers"), patience())
+
+
+def test_a_signal_that_came_in_another_thread_is_handled_while_an_answer_is_awaited() -> None:
+    answer = ThreadAnswer()
+    with signal_beside(lambda: answer.set_result("handled"), ThreadAnswer.wait):
+        assert answer.wait(patience()) == "handled"

@@ -10,6 +10,7 @@ import pytest
 from attrs import field, frozen
 from lines import LIMIT, PseudoTerminal, fresh_link
 from rigs import Events, bridged, endpoint, running, unplugged_by
+from tests.processes import signal_beside  # type: ignore[import-not-found]
 from uoarm_rocos._catalogue import DeviceCatalogue
 from uoarm_rocos._device import PendingReply
 from uoarm_rocos._framing import LineError
@@ -34,7 +35,7 @@ from uoarm_rocos.simulate import (
 from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import wait
+from uoarm.testing import patience, wait
 
 ANY = MessageStructure(True)
 PULSE = endpoint("clip", "pulseOximetry")
@@ -347,3 +348,9 @@ def test_a_call_that_is_made_while_the_monitor_is_closed_does_not_wait(
     with pytest.raises(BridgeError, match="cuff is closed") as raised:
         monitor.call(api, {}, LIMIT)
     assert raised.value.reason is FailureReason.CLOSED
+
+
+def test_a_signal_that_came_in_another_thread_is_handled_while_a_reply_is_awaited() -> None:
+    reply = PendingReply()
+    with signal_beside(lambda: reply.give("handled"), PendingReply.wait):
+        assert reply.wait(patience())

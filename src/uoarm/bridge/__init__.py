@@ -3,6 +3,7 @@
 from uoarm._backoff import Backoff, TurnCounter, Turns
 from uoarm._encodable import shown
 from uoarm._forks import at_exit, close_in_children
+from uoarm._interrupts import wait_step
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm._raised import LimitedLog, foreign, text_of
@@ -106,4 +107,5 @@ __all__ = [
     "shown",
     "text_of",
     "tls_fault",
+    "wait_step",
 ]

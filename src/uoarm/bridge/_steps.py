@@ -203,8 +203,9 @@ class BridgeSteps(ABC):
 
         May be overridden. The call is then made in the caller's thread, which saves two changes of
         thread, and no limit ends it: nothing in it may wait for longer than the time it is given,
-        neither for a lock, nor for a line to take octets, nor in foreign code. It must raise
-        BridgeTimeoutError when the time is over. Must itself return at once.
+        neither for a lock, nor for a line to take octets, nor in foreign code, and in steps of
+        `wait_step` for a Ctrl-C. It must raise BridgeTimeoutError when the time is over. Must
+        itself return at once.
         """
         del endpoint
         return False

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
 from uoarm._arguments import arguments
+from uoarm._interrupts import wait_step
 from uoarm.client._answers import checked_answer
 
 
@@ -265,8 +267,10 @@ class ThreadAnswer:
             TimeoutError: it did not come in time.
             BaseException: as it was failed with.
         """
-        if not self._came.acquire(timeout=max(0.0, timeout)):
-            raise TimeoutError
+        end = time.monotonic() + timeout
+        while not self._came.acquire(timeout=wait_step(max(0.0, end - time.monotonic()))):
+            if time.monotonic() >= end:
+                raise TimeoutError
         if self._error is not None:
             raise self._error
         return self._result

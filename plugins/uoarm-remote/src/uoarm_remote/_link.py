@@ -31,6 +31,7 @@ from uoarm.bridge import (
     renewed,
     text_of,
     tls_fault,
+    wait_step,
 )
 from uoarm.client import RemoteRobot, ServerAddress, ServerError, ThreadAnswer, trust_fingerprint
 from uoarm.errors import (
@@ -165,7 +166,7 @@ class ManagerLink:
             BridgeError: as `ask`.
         """
         self._begin()
-        self._tried.wait(timeout)
+        self._await_attempt(time.monotonic() + timeout)
         try:
             self._reached()
         except BridgeError as error:
@@ -205,7 +206,7 @@ class ManagerLink:
         """
         self._begin()
         deadline = time.monotonic() + timeout
-        self._tried.wait(timeout)
+        self._await_attempt(deadline)
         kind = ""
         waiting: list[ThreadAnswer] = []
 
@@ -267,8 +268,7 @@ class ManagerLink:
         """Run a coroutine in the loop; otherwise as `ask`."""
         self._begin()
         deadline = time.monotonic() + timeout
-        # The first attempt is given the time that an answer may take.
-        self._tried.wait(timeout)
+        self._await_attempt(deadline)
         future = asyncio.run_coroutine_threadsafe(self._within(work), self._loop)
         try:
             return future.result(max(0.0, deadline - time.monotonic()))
@@ -331,6 +331,11 @@ class ManagerLink:
                 self._closing = asyncio.Event()
                 thread.start()
                 self._thread = thread
+
+    def _await_attempt(self, deadline: float) -> None:
+        """Wait for the first attempt, which is given the time that an answer may take."""
+        while (left := deadline - time.monotonic()) > 0 and not self._tried.wait(wait_step(left)):
+            pass
 
     def _closed(self, what: str) -> BridgeError:
         return BridgeError(f"{self.place}: closed before {what}", FailureReason.CLOSED)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from uoarm.bridge import Delivery
+from uoarm.bridge import Delivery, wait_step
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
 from uoarm_rocos._catalogue import Api, ApiKind, DeviceCatalogue, Direction, ErrorCode, ErrorMessage
@@ -146,8 +147,11 @@ class LineDevice(Device):
         if self._is_there and not self._closed:
             return  # without the lock: it would not hold any longer with it
         with self._state:
-            if not self._state.wait_for(lambda: self._is_there or self._closed, timeout):
-                raise LineError(f"{self.name} is not there after {timeout:g} s: {self._cause}")
+            end = time.monotonic() + timeout
+            while not self._is_there and not self._closed:
+                if (left := end - time.monotonic()) <= 0:
+                    raise LineError(f"{self.name} is not there after {timeout:g} s: {self._cause}")
+                self._state.wait(wait_step(left))
             self._check_open()
 
     def _check_open(self) -> None:
@@ -218,7 +222,11 @@ class PendingReply:
 
     def wait(self, timeout: float) -> bool:
         """Wait so many seconds, once; return whether there is an answer."""
-        return self._given.acquire(timeout=timeout)
+        end = time.monotonic() + timeout
+        while not self._given.acquire(timeout=wait_step(max(0.0, end - time.monotonic()))):
+            if time.monotonic() >= end:
+                return False
+        return True
 
     def value(self) -> Any:
         """Return the answer that was given.
