@@ -173,6 +173,27 @@ def test_a_packed_picture_is_shown_in_formats_of_cameras(kind: str) -> None:
             picture_of(message)
 
 
+def damaged() -> bytes:
+    """Return a PNG whose second half is a chunk of no name."""
+    images = pytest.importorskip("PIL.Image")
+    written = io.BytesIO()
+    images.effect_noise((40, 30), 50).save(written, "PNG")
+    octets = written.getvalue()
+    first = octets.index(b"IDAT") - 4
+    data = octets[first + 8 : first + 500]
+    return octets[:first] + len(data).to_bytes(4, "big") + b"IDAT" + data + bytes(4) + b"\x01" * 50
+
+
+@pytest.mark.parametrize("fault", ["step", "chunk"])
+def test_a_picture_that_is_damaged_is_none(fault: str) -> None:
+    pytest.importorskip("PIL")
+    message = {"width": 4, "height": 4, "step": 2**70, "data": bytes(48)}
+    if fault == "chunk":
+        message = {"data": damaged()}
+    with pytest.raises(UsageError, match="it is no picture that can be shown: "):
+        picture_of(message)
+
+
 def test_one_picture_is_unpacked_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     images = pytest.importorskip("PIL.Image")
     written = io.BytesIO()

@@ -36,6 +36,8 @@ _RAW = {"rgb8": "RGB", "bgr8": "BGR", "mono8": "L", "rgba8": "RGBA", "bgra8": "B
 _PIXELS = 64_000_000
 # What cameras send; of the others that Pillow knows, one hands the octets to Ghostscript.
 _FORMATS = ("BMP", "JPEG", "PNG", "WEBP")
+# What a decoder raises for octets that are none of its, or are damaged.
+_DAMAGED = (OSError, ValueError, TypeError, OverflowError, SyntaxError)
 # One picture at a time: unpacked, a large one takes 200 MB, and there may be as many as clients.
 _unpacking = threading.Lock()
 
@@ -279,7 +281,7 @@ def picture_of(message: Message) -> ImageContent:
             picture.save(written, "JPEG", quality=quality)
             if written.getbuffer().nbytes <= _JPEG_OCTETS:
                 break
-    except (OSError, ValueError, TypeError, Image.DecompressionBombError) as error:
+    except (*_DAMAGED, Image.DecompressionBombError) as error:
         raise UsageError(f"it is no picture that can be shown: {error}") from error
     return ImageContent(data=base64.b64encode(written.getvalue()).decode(), mime_type="image/jpeg")
 
