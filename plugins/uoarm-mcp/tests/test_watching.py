@@ -11,11 +11,15 @@ from agents import TOKENS, Agents
 from mcp.client.client import Client
 from mcp.server.subscriptions import ResourceUpdated
 from tests.server.serving import servers  # type: ignore[import-not-found]
+from uoarm_mcp._streams import AgentStreams
 
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
-from uoarm.testing import Emitter, MemoryBridge, wait
+from uoarm.model import LeaseHolder, ValidationMode
+from uoarm.server import Server, ServerOptions
+from uoarm.server.front_end import FeedKey, LimitError
+from uoarm.testing import Emitter, MemoryBridge, patience, wait
 
 ROBOT = """
 version: 1
@@ -41,6 +45,29 @@ def robot(memory: MemoryBridge, emitter: Emitter) -> Iterator[RobotManager]:
     del emitter
     with RobotManager(loads(ROBOT), registry=Registry(()), bridges={"memory": memory}) as robot:
         yield robot
+
+
+async def test_what_was_just_opened_makes_no_room(
+    robot: RobotManager, emitter: Emitter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uoarm_mcp._streams._MOST_OPEN", 1)
+    server = Server(robot, ServerOptions(port=0))
+    await server.start()
+    client = server.stateless_clients.local("")
+    streams = AgentStreams(server.backend, client.account, LeaseHolder("an agent", ""))
+    try:
+        read = asyncio.ensure_future(streams.read("level", 1, patience(), latest=True))
+        # That it is open is seen here before who asked for it goes on.
+        while not (streams.open or read.done()):  # noqa: ASYNC110 - each turn of the loop
+            await asyncio.sleep(0)
+        with pytest.raises(LimitError, match="1 streams are in use"):
+            await streams.take(FeedKey("level", ValidationMode.ALWAYS, receive=False))
+        emitter.emit(7)
+        collector, _ = await read
+        assert collector.messages == [7]
+    finally:
+        streams.close()
+        await server.stop()
 
 
 def test_a_stream_that_failed_is_watched_again(

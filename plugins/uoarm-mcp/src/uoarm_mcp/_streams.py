@@ -354,7 +354,8 @@ class AgentStreams:
             again.add_done_callback(self._again.discard)
 
     def _make_room(self) -> None:
-        idle = next((key for key, held in self._held.items() if not held.users), None)
+        # What is not used and has no timer was just opened: who asked for it goes on shortly.
+        idle = next((key for key, held in self._held.items() if held.timer is not None), None)
         if idle is None:
             raise LimitError(f"{_MOST_OPEN} streams are in use; wait for one of them first")
         self._leave(idle, self._held[idle])
