@@ -225,7 +225,7 @@ class GoalId(TypedDict):
 
 
 class Walker:
-    """An action: walks as many steps as its goal says, at once; of 99 it waits to be cancelled."""
+    """An action: walks as many steps as its goal says, at once; 98 and 99 wait to be cancelled."""
 
     def __init__(self) -> None:
         self._numbers = itertools.count(1)
@@ -239,9 +239,10 @@ class Walker:
             yield Emit("status", {**goal, "status": "rejected"})
             return
         yield Emit("status", {**goal, "status": "accepted"})
-        if steps == 99:
+        if steps in (98, 99):
             self._waiting.add(goal["goal_id"])
-            yield Emit("feedback", {**goal, "feedback": {"step": 1}})
+            feedback = {"step": 1} if steps == 99 else {"steps": [0.5] * 20_000}
+            yield Emit("feedback", {**goal, "feedback": feedback})
             return
         state = "aborted" if steps == 13 else "succeeded"
         yield Emit("result", {**goal, "status": state, "result": {"walked": steps}})

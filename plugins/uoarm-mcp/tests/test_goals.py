@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from typing import Any
 
 import pytest
 from agents import Agents
 from components import script
+from mcp_types import ResourceLink, TextResourceContents
 
 from uoarm import RobotManager
 from uoarm.testing import patience, wait
@@ -59,6 +61,25 @@ def test_a_cancellation_reaches_the_action_and_the_end_is_reported_once(agents: 
     assert ended["first_report"] is True
     assert script.came == [{"value": 99}, {"goal_id": "1"}]
     assert agents.facts("goal_status", {"handle": handle})["first_report"] is False
+
+
+def test_long_feedback_is_rendered_once_with_a_link_to_all_of_it(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uoarm_mcp._actions._AT_ONCE_SECONDS", 0.0)
+    handle = agents.facts("walk", {"value": 98})["handle"]
+    wait(lambda: "feedback" in agents.facts("goal_status", {"handle": handle}), "it has come")
+
+    def links() -> list[str]:
+        content = agents.call("goal_status", {"handle": handle}).content
+        return [part.uri for part in content if isinstance(part, ResourceLink)]
+
+    first = links()
+    assert len(first) == 1
+    assert links() == first
+    (part,) = agents.run(agents.client().read_resource(first[0])).contents
+    assert isinstance(part, TextResourceContents)
+    assert json.loads(part.text) == {"steps": [0.5] * 20_000}
 
 
 @pytest.mark.parametrize("revision", ["legacy", "2026-07-28"])

@@ -55,6 +55,7 @@ class AgentGoal:
         result: what it came to.
         cause: why it failed.
         feedback: what came last before the result.
+        shown: that as it was shown, if it was.
         cancel: asks for its end; returns whether that could be asked.
         stop: stops what it moves, in the loop; returns whether anything is.
         done: set at its end.
@@ -67,6 +68,7 @@ class AgentGoal:
     result: RenderedMessage | None = None
     cause: str = ""
     feedback: Message = None
+    shown: RenderedMessage | None = None
     cancel: Callable[[], bool] | None = None
     stop: Callable[[], bool] | None = None
     is_cancelled: bool = False
@@ -118,9 +120,10 @@ class AgentGoals:
         return handle in self._goals
 
     def links(self, handle: str) -> tuple[ResourceLink, ...]:
-        """Return the links to what the result of a goal leaves out, where there is one."""
+        """Return the links to what the result of a goal, or its feedback, leaves out."""
         goal = self._goals.get(handle)
-        return () if goal is None or goal.result is None else goal.result.links
+        rendered = None if goal is None else goal.result or goal.shown
+        return () if rendered is None else rendered.links
 
     def check_room(self) -> None:
         """Refuse more than an agent may have under way; raises LimitError."""
@@ -359,7 +362,7 @@ class AgentActions:
         ended: asyncio.Future[tuple[Message, str]] = loop.create_future()
 
         def feed(values: Message) -> None:
-            goal.feedback = values
+            goal.feedback, goal.shown = values, None
 
         def finish(values: Message, status: GoalStatus) -> None:
             if not ended.done():

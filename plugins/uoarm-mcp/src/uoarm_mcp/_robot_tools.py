@@ -307,8 +307,12 @@ class RobotTools:
             goal = self._goals.find(handle)
             if goal.done.is_set() or goal.feedback is None:
                 return goal.facts()
-            last = goal.feedback
-            shown = self._kept.keep(await self._backend.in_worker(partial(render, last)))
+            shown = goal.shown
+            if shown is None or not self._kept.has(shown):
+                last = goal.feedback
+                shown = self._kept.keep(await self._backend.in_worker(partial(render, last)))
+                if last is goal.feedback:
+                    goal.shown = shown
             return {**goal.facts(), "feedback": shown.value}
         approval = self._approvals.find(handle, self._client.principal)
         if approval is None:

@@ -77,6 +77,10 @@ class KeptValues:
         found = self._kept.get(uri)
         return None if found is None else found[:2]
 
+    def has(self, rendered: RenderedMessage) -> bool:
+        """Say whether all that a message leaves out is kept still."""
+        return all(link.uri in self._kept for link in rendered.links)
+
     def uris(self) -> list[tuple[str, str, int]]:
         """Return what is kept: address, kind and octets."""
         return [(uri, kind, len(octets)) for uri, (kind, octets, _) in self._kept.items()]
