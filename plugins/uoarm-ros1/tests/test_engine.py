@@ -6,6 +6,7 @@ import re
 import struct
 import xmlrpc.client
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -392,6 +393,24 @@ def test_services_have_the_sums_of_ros() -> None:
     }
     store = TypeStore(())
     assert {name: store.require_service(name).md5 for name in sums} == sums
+
+
+def test_what_cannot_be_read_of_an_installation_costs_its_own_type_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A workspace has links to files that were removed; those of `definitions` are a mistake."""
+    for name in ("own_msgs/msg", "own_msgs/msg/Folder.msg"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "own_msgs/msg/Own.msg").write_text("int32 a\n")
+    gone = tmp_path / "own_msgs/msg/Gone.msg"
+    gone.symlink_to(tmp_path / "nowhere")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
+    store = TypeStore(())
+    assert [store.message(f"own_msgs/{name}") is None for name in ("Own", "Gone")] == [False, True]
+    with pytest.raises(ConfigurationError, match=f"definitions: {gone} cannot be read: No such"):
+        TypeStore([str(tmp_path)])
+    gone.unlink()
+    assert TypeStore([str(tmp_path)]).message("own_msgs/Own") is not None
 
 
 def test_names_are_resolved_as_ros_does() -> None:

@@ -77,7 +77,8 @@ class TypeStore:
             path = Path(folder)
             if not path.is_dir():
                 raise ConfigurationError(f"definitions: {folder} is no folder")
-            self._take(path, [f for f in sorted(path.rglob("*")) if f.suffix in _SUFFIXES])
+            files = [f for f in sorted(path.rglob("*")) if f.suffix in _SUFFIXES]
+            self._take(path, [f for f in files if not f.is_dir()])
         # Guards the search of what is installed, which is made once, when a type is not known.
         self._lock = threading.Lock()
         self._has_looked = False
@@ -198,7 +199,8 @@ class TypeStore:
                 installed._has_looked = True
                 for folder in installed_folders(os.environ):
                     for kind in _SUFFIXES.values():
-                        installed._take(folder, sorted(folder.glob(f"*/{kind}/*.{kind}")))
+                        found = sorted(folder.glob(f"*/{kind}/*.{kind}"))
+                        installed._take(folder, [f for f in found if _is_readable(f)])
                 self._installed = installed
         return self._installed
 
@@ -207,11 +209,16 @@ class TypeStore:
             text = f"{folder} holds {len(files):,} definitions, more than {_MAX_FILES:,}"
             raise ConfigurationError(text)
         for path in files:
-            if path.stat().st_size > _MAX_OCTETS:
-                continue
+            try:
+                if path.stat().st_size > _MAX_OCTETS:
+                    continue
+                text = path.read_text("utf-8", "replace")
+            except OSError as error:
+                why = error.strerror or error
+                raise ConfigurationError(f"definitions: {path} cannot be read: {why}") from error
             kind = _SUFFIXES[path.suffix]
             package = (path.parent.parent if path.parent.name == kind else path.parent).name
-            name, text = f"{package}/{path.stem}", path.read_text("utf-8", "replace")
+            name = f"{package}/{path.stem}"
             if kind == "msg":
                 self._texts[name] = text
             elif kind == "srv":
@@ -228,6 +235,11 @@ class TypeStore:
         for ending, template in _ACTION_PARTS.items():
             own = name.partition("/")[2]
             self._texts[f"{name}{ending}"] = template.format(name=own)
+
+
+def _is_readable(path: Path) -> bool:
+    """Whether there is a file to read; what is installed may have links to what was removed."""
+    return path.is_file() and os.access(path, os.R_OK)
 
 
 _SUFFIXES = {".msg": "msg", ".srv": "srv", ".action": "action"}
