@@ -84,6 +84,9 @@ class Master:
         assert self._process is not None
         log = (self.folder / "master.log").read_text(encoding="utf-8", errors="replace")
         assert self._process.poll() is None, log
+        return self._listens()
+
+    def _listens(self) -> bool:
         try:
             socket.create_connection((self.host, self.port), 1).close()
         except OSError:
@@ -106,6 +109,8 @@ class RestartingMaster(Master):
 
     def kill(self) -> None:
         self._do(b"stop")
+        # Its thread, which waits for a socket that is closed, has the port for half a second still.
+        wait(lambda: not self._listens(), "the master keeps its port", patience())
 
     def end(self) -> None:
         """End its process."""

@@ -9,6 +9,7 @@ from typing import Any, cast
 import pytest
 from endpoints import Reports, bridge_to, input_, output, service
 from peers import Master, Peer, RestartingMaster, running
+from uoarm_ros1._master import call_api
 from uoarm_ros1._node import Rosout
 from uoarm_ros1._options import NodeIdentity, Ros1BridgeOptions
 
@@ -247,6 +248,37 @@ def test_a_look_that_fails_ends_no_other(master: Master, lasting: Peer) -> None:
 def is_lost(reports: Reports, channel: Channel) -> bool:
     events = tuple(reports.events)
     return any(event.channel is channel and event.health is Health.LOST for event in events)
+
+
+def test_a_master_whose_process_has_the_number_of_the_one_before_is_known_by_its_run(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a container, where a node opens something between two looks at the master."""
+    world = RestartingMaster(tmp_path / "master")
+    world.start()
+    try:
+        set_run = partial(call_api, world.uri, "setParam", "/roslaunch", "/run_id")
+        set_run("first")
+        with bridge_to(world) as bridge:
+            watching: Any = bridge
+            bridge.open_source(output("/before", INT, peer="optional"), ANY, print)
+            wait(
+                lambda: "first" in (watching._master_identity or ()),
+                "the master was not asked",
+                patience(),
+            )
+            is_between = threading.Event()
+            monkeypatch.setattr(bridge, "_look_at_master", is_between.set)
+            assert is_between.wait(patience())
+            world.kill()
+            world.start()
+            set_run("second")
+            bridge.open_source(output("/since", INT, peer="optional"), ANY, print)
+            assert "/before" not in registered(watching._node)
+            monkeypatch.undo()
+            wait(lambda: "/before" in registered(watching._node), "it is not known", patience())
+    finally:
+        world.end()
 
 
 def test_a_parameter_that_is_found_twice_was_set_once(tmp_path: Any) -> None:

@@ -81,7 +81,7 @@ class Ros1Bridge(Bridge):
         identity = NodeIdentity.of(name, options, os.environ)
         self._node = Node(identity, options, self._asked_to_end)
         self._master_health, self._lost = MasterHealth(), LostComponents()
-        self._master_process: object = None  # which has all registrations
+        self._master_identity: object = None  # of the one that has all registrations
         self._callers: dict[tuple[str, str], Caller | ActionCaller] = {}
         # Guards the callers, and what was lost, between steps and the watch.
         self._table_lock = threading.Lock()
@@ -487,14 +487,14 @@ class Ros1Bridge(Bridge):
     def _look_at_master(self) -> None:
         node, health = self._node, self._master_health
         try:
-            process = node.master.call("getPid")
+            identity = node.master.identity()
             # What was opened since a master was started again is known to it, and nothing else.
-            # In a container its process has the same number: one that was away is another.
-            before = self._master_process
-            is_another = before is not None and (before != process or not health.is_up)
+            # One that was away is another, whatever it says of itself.
+            before = self._master_identity
+            is_another = before is not None and (before != identity or not health.is_up)
             if node.is_registered and (is_another or not node.is_known()):
                 node.register_again()
-            self._master_process = process
+            self._master_identity = identity
             for own in (self._rosout, self._clock):
                 if own is not None:
                     own.open()

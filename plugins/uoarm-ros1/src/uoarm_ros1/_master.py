@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any, Generic, TypeVar
 from urllib.parse import urlsplit
@@ -246,6 +247,16 @@ class Master:
                 raise
             hint = "start it, or set the bridge's option `master` or ROS_MASTER_URI"
             raise BridgeError(f"{error}; {hint}", FailureReason.UNAVAILABLE) from error
+
+    def identity(self) -> tuple[object, object]:
+        """Return what another master has otherwise: its process, and the run that roscore names.
+
+        In a container every process has the same number.
+        """
+        process, run = self.call("getPid"), None
+        with suppress(BridgeError):  # one that was not begun by roscore names none
+            run = self.call("getParam", "/run_id")
+        return process, run
 
     def state(self, since: float | None = None) -> GraphState:
         """Return who publishes, subscribes and serves what.
