@@ -124,10 +124,11 @@ $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)
 	  -e plugins/uoarm-rtm -e 'plugins/uoarm-rocos[speech]' -e plugins/uoarm-rosbridge
 	@touch $@
 
-$(VENV)/.drive: pyproject.toml plugins/uoarm-ros2/pyproject.toml | $(BIN)/python
+$(VENV)/.drive: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
 	$(WANTS_ROS)
 	@echo "Installing uoarm and its bridge to ROS 2 into $(VENV) (once) ..."
-	$(BIN)/python -m pip install --progress-bar on -e '.[server,hosts]' -e 'plugins/uoarm-ros2[jazzy]'
+	$(BIN)/python -m pip install --progress-bar on -e '.[server,hosts]' \
+	  -e 'plugins/uoarm-ros2[jazzy]' -e plugins/uoarm-rosbridge
 	@touch $@
 
 $(VENV)/.warehouse: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python

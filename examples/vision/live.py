@@ -38,7 +38,7 @@ def main() -> int:
         console = Console()
         serve(options.port, console)
     except ModuleNotFoundError as error:
-        print(f"{error.name} is not installed: pip install '.[vision-lbph,vision-dlib,server]'")
+        print(f"{error.name} is not installed: `make live` installs what it needs")
         return 2
     except (FootageError, UoarmError, OSError) as error:
         console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import textwrap
 from collections import Counter
+from collections.abc import Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -280,6 +281,44 @@ def test_what_a_page_installs_of_ours_comes_from_the_checkout(page: Path) -> Non
             for word in words.split()
         ]
         assert not [word for word in wanted if word.startswith("uoarm")], line
+
+
+@pytest.mark.parametrize(
+    "page", [*INSTALLING, ROOT / "Makefile"], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_what_is_installed_of_ours_needs_nothing_else_of_ours_from_an_index(page: Path) -> None:
+    """An extra of one distribution may need another, which stands in the same command then."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    for command in re.findall(r"pip install ([^`#;\n]*)", text):
+        found = re.findall(
+            r"(?:^|[\s'\"])(\.|(?:\./uoarm/)?plugins/[a-z\d-]+(?![\w-]))(?:\[([\w,-]+)\])?", command
+        )
+        wanted = {
+            (Path(place).name or "uoarm", extra)
+            for place, extras in found
+            for extra in extras.split(",")
+        }
+        named = {name for name, _ in wanted}
+        assert needed_of_ours(wanted) <= {"uoarm", *named}, command
+
+
+def needed_of_ours(wanted: set[tuple[str, str]]) -> set[str]:
+    """Return the distributions of ours that some need, each with one of its extras or with ''."""
+    known, more = set[tuple[str, str]](), wanted
+    while more - known:
+        known |= more
+        more = {needed for name, extra in known for needed in _requirements(name, extra)}
+    return {name for name, _ in known}
+
+
+def _requirements(name: str, extra: str) -> Iterator[tuple[str, str]]:
+    tomllib = pytest.importorskip("tomllib", reason="part of Python since 3.11")
+    folder = ROOT if name == "uoarm" else ROOT / "plugins" / name
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = [*project["dependencies"], *project.get("optional-dependencies", {}).get(extra, ())]
+    for line in lines:
+        if match := re.match(r"(uoarm[\w-]*)(?:\[([\w,-]+)\])?", line):
+            yield from ((match[1], part) for part in (match[2] or "").split(","))
 
 
 def test_the_first_steps_work_as_written(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from attrs import frozen
 from typing_extensions import Self
 
-from uoarm.bridge import Registry
+from uoarm.bridge import Registry, install_command
 from uoarm.config import load
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, format_status, to_json, write_json
@@ -249,8 +249,9 @@ class Browser:
                 Zeroconf,
             )
         except ImportError as error:
+            command = install_command("uoarm", "zeroconf")
             raise PluginError(
-                f"--browse needs: pip install 'uoarm[zeroconf]' ({error})", error_code="UOA-302"
+                f"--browse needs: {command} ({error})", error_code="UOA-302"
             ) from error
         self._lock = threading.Lock()
         self._names: dict[str, None] = {}
