@@ -91,6 +91,7 @@ WITHIN = {
         {"regex"},
         {"_parts"},
         {"read"},
+        {"_newest"},
         {"solve"},
         {"_decide"},
         {"_check"},

@@ -285,6 +285,13 @@ SHAPE = {
         f"{AT}.output.structure.items.minimum",
         'expected a number, got "low"',
     ),
+    "structure of an older draft": Bad(
+        component("output: {endpoint: [x], structure: {$schema: 'http://x/draft-07/schema#'}}"),
+        5,
+        89,
+        f'{AT}.output.structure["$schema"]',
+        "expected https://json-schema.org/draft/2020-12/schema or",
+    ),
     "structure of a key's name": Bad(
         component("output: {endpoint: [x], structure: {propertyNames: 3}}"),
         5,

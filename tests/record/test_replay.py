@@ -19,8 +19,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 from tests.record.conftest import COUNT, PICTURE
 
 from uoarm import RobotManager
+from uoarm.bridge import message_check
 from uoarm.config import loads
-from uoarm.errors import BridgeError, ResolutionError
+from uoarm.errors import BridgeError, MessageError, ResolutionError
 from uoarm.model import Endpoint, Health, MessageStructure, QueuePolicy, Role, StatusEvent
 from uoarm.record import _bridge, _reading
 from uoarm.record._bridge import RecordingBridge
@@ -398,6 +399,30 @@ def test_a_schema_that_is_none_is_refused_and_not_met_by_a_message(
     with pytest.raises(BridgeError, match="channel /a: its schema 'Odd': "):
         made.describe(Endpoint("tape", "x", Role.OUTPUT, ("/a",)))
     made.close()
+
+
+def test_a_schema_of_an_older_draft_is_read_as_one(tmp_path: Path) -> None:
+    draft = "http://json-schema.org/draft-07/schema#"
+    items = {"items": [{"type": "integer"}], "additionalItems": {"$ref": "#/definitions/t"}}
+    schema = {"properties": {"a": items}, "definitions": {"t": {"type": "string"}}}
+    path = tmp_path / "old.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        text = json.dumps({"$schema": draft, **schema}).encode()
+        channel = writer.register_channel(
+            "/a", "json", writer.register_schema("Old", "jsonschema", text)
+        )
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()  # type: ignore[no-untyped-call]  # of mcap
+    made = RecordingBridge("tape", PlaybackOptions.of({"file": str(path)}))
+    found = made.describe(Endpoint("tape", "x", Role.OUTPUT, ("/a",))).message
+    made.close()
+    assert found is not None
+    check = message_check(found, "old")
+    check({"a": [1, "b"]})
+    with pytest.raises(MessageError, match=r"a\.1: expected text"):
+        check({"a": [1, 2]})
 
 
 @pytest.mark.parametrize("cut", [1, 30, 300, 1000])

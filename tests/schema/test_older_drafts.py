@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
+from jsonschema import Draft202012Validator
+from jsonschema.validators import validator_for
 from tests.schema._judge import Body, answer, shown
-from tests.schema._official import OLDER, groups
+from tests.schema._official import NEWEST, OLDER, groups
 from tests.schema._strategies import schemas
 from tests.schema._suite_pairs import const_pairs
 
-from uoarm.schema import SchemaError, check
+from uoarm.schema import SchemaError, check, newest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -112,6 +115,125 @@ MEANINGS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 def test_an_old_form_keeps_its_meaning(old: dict[str, Any], new: dict[str, Any]) -> None:
     assert answer(check(old, new)) == "yes"
     assert answer(check(new, old)) == "yes"
+
+
+@pytest.mark.parametrize(("old", "new"), MEANINGS.values(), ids=MEANINGS)
+def test_an_old_form_is_written_in_the_newest_draft(
+    old: dict[str, Any], new: dict[str, Any]
+) -> None:
+    if "robots.example" in str(old) or "$schema" in str(old.get("properties")):
+        with pytest.raises(SchemaError, match=r"an address of its own|another draft"):
+            newest(old)
+        return
+    made = newest(old)
+    Draft202012Validator.check_schema(made)
+    assert "$schema" not in str(made)
+    assert newest(made) is made
+    assert answer(check(made, new)) == "yes"
+    assert answer(check(new, made)) == "yes"
+
+
+@pytest.mark.parametrize("draft", [*OLDER, NEWEST])
+def test_what_is_written_in_the_newest_draft_accepts_what_it_did(draft: str) -> None:
+    wrong, refused, count = [], 0, 0
+    for group in groups(draft):
+        count += 1
+        before = json.dumps(group.schema)
+        try:
+            made = newest(group.schema)
+        except SchemaError:
+            refused += 1
+            continue
+        assert json.dumps(group.schema) == before
+        old = validator_for(group.schema, Draft202012Validator)
+        for instance, _ in group.cases:
+            found = [is_valid(old, group.schema, instance)]
+            found.append(is_valid(Draft202012Validator, made, instance))
+            if found[0] != found[1]:
+                wrong.append((group, made, instance, found))
+    assert not wrong, wrong[:3]
+    assert refused <= 0.1 * count, (refused, count)
+
+
+def is_valid(kind: Any, schema: Any, instance: object) -> object:
+    """Whether an instance is valid, or what is raised: by patterns of ECMA-262, far references."""
+    try:
+        return kind(schema).is_valid(instance)
+    except Exception as error:  # noqa: BLE001 - compared with the other one's
+        return type(error)
+
+
+WRITTEN: dict[str, tuple[Any, Any]] = {
+    "a name that is a pointer, as tools write it": (
+        {"$schema": DRAFT_7, "properties": {"a": {"$id": "#/properties/a", **TEXT}},
+         "not": {"$ref": "#/properties/a"}},
+        {"properties": {"a": TEXT}, "not": {"$ref": "#/properties/a"}},
+    ),
+    "addresses that nothing refers to": (
+        {"$schema": DRAFT_7, "$id": "http://h/a", "properties": {"a": {"$id": "/b", **TEXT}}},
+        {"properties": {"a": TEXT}},
+    ),
+    "references to true and false": (
+        {"$schema": DRAFT_7, "definitions": {"a": True, "b": False},
+         "properties": {"a": {"$ref": "#/definitions/a"}, "b": {"$ref": "#/definitions/b"}}},
+        {"$defs": {"a": True, "b": False},
+         "properties": {"a": {"allOf": [True]}, "b": {"allOf": [False]}}},
+    ),
+    "the address of the whole": (
+        {"$schema": DRAFT_7, "$id": "http://h/a#",
+         "items": [{"$ref": "http://h/a#/items/1"}, TEXT]},
+        {"$id": "http://h/a#", "prefixItems": [{"$ref": "#/prefixItems/1"}, TEXT]},
+    ),
+    "a name with marks": (
+        {"$schema": DRAFT_4, "definitions": {"a/b~": TEXT},
+         "items": {"$ref": "#/definitions/a~1b~0"}},
+        {"$defs": {"a/b~": TEXT}, "items": {"$ref": "#/$defs/a~1b~0"}},
+    ),
+    "both references of 2019-09": (
+        {"$schema": DRAFT_2019, "properties": {"a": {"$ref": "#/$defs/n", "$recursiveRef": "#"}},
+         "$recursiveAnchor": True, "$defs": {"n": TEXT}},
+        {"properties": {"a": {"$ref": "#/$defs/n", "allOf": [{"$ref": "#"}]}},
+         "$defs": {"n": TEXT}},
+    ),
+    "what is no schema": ({"$schema": DRAFT_7, "const": {"items": [TEXT]}},
+                          {"const": {"items": [TEXT]}}),
+    "what is malformed": ({"$schema": DRAFT_7, "properties": 3, "anyOf": {"a": 3}, "not": 3},
+                          {"properties": 3, "anyOf": {"a": 3}, "not": 3}),
+    "true": (True, True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new"), WRITTEN.values(), ids=WRITTEN)
+def test_the_newest_draft_is_written_so(old: Any, new: Any) -> None:
+    assert newest(old) == new
+
+
+@pytest.mark.parametrize(
+    ("schema", "place"),
+    [
+        ({"$schema": "http://json-schema.org/draft-03/schema#"}, r"#/\$schema: expected draft 04"),
+        ({"$schema": 3}, r"#/\$schema: expected draft 04, .* got 3"),
+        ({"$schema": DRAFT_7, "items": {"$ref": "#/x-parts/0"}}, r"#/items/\$ref: expected a ref"),
+        ({"$schema": DRAFT_7, "definitions": {"a": {"$id": "b", "items": {"$ref": "c"}}}},
+         "#/definitions/a: .* an address of its own"),
+        ({"properties": {"a": {"$schema": DRAFT_4}}}, "#/properties/a: .* another draft"),
+        ({"$schema": DRAFT_2019, "contains": TEXT, "unevaluatedItems": False},
+         "#: .*unevaluatedItems"),
+    ],
+)  # fmt: skip
+def test_what_the_newest_draft_cannot_say_is_refused_with_its_place(
+    schema: Any, place: str
+) -> None:
+    with pytest.raises(SchemaError, match=place):
+        newest(schema)
+
+
+def test_a_schema_that_is_nested_too_deeply_is_refused() -> None:
+    schema: Any = {}
+    for _ in range(5000):
+        schema = {"items": [schema]}
+    with pytest.raises(SchemaError, match="nested less deeply"):
+        newest(schema)
 
 
 UNDECIDED = {

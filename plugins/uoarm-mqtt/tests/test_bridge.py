@@ -257,11 +257,24 @@ class TestStructures:
             ]
             assert only.endpoints[0][1].message == MessageStructure(schema)
 
+    def test_a_retained_schema_may_be_of_an_older_draft(self, broker: Broker, peer: Peer) -> None:
+        schema = {
+            "$schema": "http://json-schema.org/draft-07/schema#",
+            "dependencies": {"a": ["b"]},
+        }
+        peer.publish("schemas/lab/old", json.dumps(schema), retain=True)
+        peer.publish("schemas/lab/ask", json.dumps({"request": schema, "reply": {}}), retain=True)
+        made = MessageStructure({"dependentRequired": {"a": ["b"]}})
+        with bridge_to(broker, schemas="schemas/{topic}") as bridge:
+            assert bridge.describe(endpoint("lab/old")).message == made
+            assert bridge.describe(endpoint("lab/ask", Role.SERVICE)).request == made
+
     def test_a_schema_that_is_none_is_named(self, broker: Broker, peer: Peer) -> None:
         peer.publish("schemas/lab/odd", '{"type": "byte"}', retain=True)
         peer.publish("schemas/lab/no", "{", retain=True)
+        peer.publish("schemas/lab/draft", '{"$schema": "http://elsewhere"}', retain=True)
         with bridge_to(broker, schemas="schemas/{topic}", max_octets=500) as bridge:
-            for topic in ("lab/odd", "lab/no"):
+            for topic in ("lab/odd", "lab/no", "lab/draft"):
                 with pytest.raises(BridgeError, match=f"schemas/{topic} is no JSON Schema"):
                     bridge.describe(endpoint(topic))
             with pytest.raises(BridgeError) as caught:

@@ -39,6 +39,13 @@ def test_a_published_schema_loses_its_header(tmp_path: Path) -> None:
     assert found.body("state") == body_of("state", "2.1"), "what is not there is the plugin's own"
 
 
+def test_a_schema_of_an_older_draft_is_read_as_one(tmp_path: Path) -> None:
+    draft, old = "http://json-schema.org/draft-07/schema#", {"dependencies": {"a": ["b"]}}
+    (tmp_path / "order.schema").write_text(json.dumps({"$schema": draft, **SCHEMA, **old}))
+    found = read_published(str(tmp_path), RELEASES["2.1"])
+    assert found["order"] == {**SCHEMA, "dependentRequired": {"a": ["b"]}}
+
+
 @pytest.mark.parametrize(
     ("text", "refusal"),
     [

@@ -265,10 +265,13 @@ def _parsed(text: bytes) -> Any:
 
 
 def _sound(schema: Any) -> Any:
-    """Return a schema of another program's; raises ValueError where it is no JSON Schema."""
+    """Return another program's schema in draft 2020-12; ValueError where it is no JSON Schema."""
     from jsonschema import Draft202012Validator, SchemaError  # noqa: PLC0415 - when first needed
 
+    from uoarm.schema import newest  # noqa: PLC0415 - as above
+
     try:
+        schema = newest(schema)
         Draft202012Validator.check_schema(schema)
     except SchemaError as error:
         place = "/".join(map(str, error.absolute_path))

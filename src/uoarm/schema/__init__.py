@@ -3,6 +3,7 @@
 Stands on its own: it needs nothing else of uoarm.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from uoarm.schema._check import check
@@ -18,6 +19,7 @@ from uoarm.schema._parts import (
 from uoarm.schema._verdict import CheckBudget, Loss, MismatchReason, Verdict
 
 if TYPE_CHECKING:
+    from uoarm.schema._newest import newest
     from uoarm.schema.regex import UnsupportedPatternError, found_in
 
 __all__ = [
@@ -33,6 +35,7 @@ __all__ = [
     "enclose",
     "follow",
     "found_in",
+    "newest",
     "portable",
     "property_of",
 ]
@@ -42,9 +45,8 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> object:
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        from uoarm.schema import regex  # noqa: PLC0415 - when first needed
-
-        return getattr(regex, name)
+        module = f"uoarm.schema.{'_newest' if name == 'newest' else 'regex'}"
+        return getattr(import_module(module), name)
 
     def __dir__() -> list[str]:
         return sorted({*globals(), *__all__})

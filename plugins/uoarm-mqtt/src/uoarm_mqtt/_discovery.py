@@ -12,6 +12,7 @@ from paho.mqtt.client import topic_matches_sub
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, MessageStructure, Role
+from uoarm.schema import newest
 from uoarm_mqtt._codec import STRUCTURES, PayloadCodec
 from uoarm_mqtt._link import BrokerConnection
 from uoarm_mqtt._options import MqttOptions, TopicOptions
@@ -32,14 +33,20 @@ def read_schema(topic: str, payload: bytes, budget: Budget) -> Any:
     """
     try:
         found = PayloadCodec("json", budget).decode(payload)
-        is_service = isinstance(found, dict) and {"request", "reply"} >= found.keys() != set()
-        for schema in found.values() if is_service else [found]:
+        sides = found if _is_of_service(found) else {"": found}
+        sides = {name: newest(schema) for name, schema in sides.items()}
+        for schema in sides.values():
             Draft202012Validator.check_schema(schema)
-    except (MessageError, SchemaError) as error:
+    except (MessageError, SchemaError, ValueError) as error:
         report = error.message if isinstance(error, SchemaError) else error
         text = f"what is retained on {topic} is no JSON Schema: {report}"
         raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
-    return found
+    return sides.get("", sides)
+
+
+def _is_of_service(schema: Any) -> bool:
+    """Say whether it is a mapping of the schemas of a request, a reply or both."""
+    return isinstance(schema, dict) and {"request", "reply"} >= schema.keys() != set()
 
 
 def topics_on(
@@ -95,7 +102,7 @@ def described(schema: Any) -> Description | None:
     """Return a description of a schema, or of a mapping of two."""
     if schema is None:
         return None
-    if isinstance(schema, dict) and schema.keys() and schema.keys() <= {"request", "reply"}:
+    if _is_of_service(schema):
         sides = {name: MessageStructure(side) for name, side in schema.items()}
         return Description(request=sides.get("request"), reply=sides.get("reply"))
     return Description(MessageStructure(schema))

@@ -18,6 +18,7 @@ from uoarm.bridge import message_check
 from uoarm.errors import ConfigurationError, MessageError
 from uoarm.model import Budget, Message, MessageStructure, Schema, read_json
 from uoarm.plugins import expanded
+from uoarm.schema import newest
 from uoarm_vda5050._releases import HEADER, TOPICS, VdaRelease, body_of
 
 HEADER_OCTETS = 320
@@ -181,14 +182,13 @@ def read_published(folder: str, release: VdaRelease) -> dict[str, Any]:
 def _read(file: Path, release: VdaRelease) -> Any:
     try:
         octets = file.read_bytes()
-        schema = _decoded(octets)
+        schema = newest(_decoded(octets))
         Draft202012Validator.check_schema(schema)
     except json.JSONDecodeError as error:
         raise ConfigurationError(_no_json(file, error, release)) from None
     except (OSError, ValueError, RecursionError, SchemaError) as error:
         report = error.message if isinstance(error, SchemaError) else error
         raise ConfigurationError(f"schemas: {file}: no JSON Schema: {report}") from None
-    schema.pop("$schema", None)
     return schema
 
 

@@ -2,5 +2,6 @@
 
 from uoarm.schema.read._document import Pool, SchemaDocument
 from uoarm.schema.read._node import SchemaNode
+from uoarm.schema.read._resources import NEWEST, REFERENCES, Dialect, dialect_of
 
-__all__ = ["Pool", "SchemaDocument", "SchemaNode"]
+__all__ = ["NEWEST", "REFERENCES", "Dialect", "Pool", "SchemaDocument", "SchemaNode", "dialect_of"]
