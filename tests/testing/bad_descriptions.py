@@ -215,6 +215,13 @@ DESCRIPTION_BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         WORDS,
+        "describes with a schema of an older draft",
+        schema_of({"$schema": "http://json-schema.org/draft-07/schema#", "type": "string"}),
+        Describing.test_structures_are_valid_schemas_with_messages,
+        "it is of draft 2020-12",
+    ),
+    Bug(
+        WORDS,
         "describes what no message fits",
         schema_of({"type": "integer", "enum": []}),
         Describing.test_structures_are_valid_schemas_with_messages,

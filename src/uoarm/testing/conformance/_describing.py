@@ -13,6 +13,7 @@ from jsonschema import Draft202012Validator
 from uoarm.bridge import CONTRACT_VERSION, Bridge, BridgeType
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.model import BridgeSpec, Role
+from uoarm.schema import newest
 from uoarm.testing._resources import ResourceSnapshot
 from uoarm.testing.conformance._world import World, example_of, line, rules, structure_of
 
@@ -34,6 +35,7 @@ class Describing:
         for incoming in (True, False):
             structure = structure_of(bridge, pair, incoming=incoming)
             Draft202012Validator.check_schema(structure.schema)
+            assert newest(structure.schema) is structure.schema, "it is of draft 2020-12"
             assert example_of(structure) is not None
 
     def test_describing_twice_says_the_same(self, world: World, bridge: Bridge, kind: str) -> None:
