@@ -116,7 +116,7 @@ ALONE = {
     "schema": {"schema", "_encodable"},
     "_wire": {"_wire", "model", "schema", "errors", "_spelling"},
     "cdr": {"cdr", "model", "errors", "_deferred", "_encodable"},
-    "local": {"local", "bridge", "_hints", "model", "errors"}
+    "local": {"local", "bridge", "_hints", "model", "schema", "errors"}
     | {"_arguments", "_mistakes", "_raised", "_spelling", "_support"},
 }
 

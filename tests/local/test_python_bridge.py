@@ -14,11 +14,20 @@ from uoarm import RobotManager
 from uoarm._support.workers import WorkerPool
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.local import HintError, Octets, PythonBridge, PythonOptions, Range, UInt8, schema_of
+from uoarm.local import (
+    HintError,
+    Octets,
+    PythonBridge,
+    PythonOptions,
+    Range,
+    UInt8,
+    schema_of,
+    structure,
+)
 from uoarm.local._instance import Instance
 from uoarm.local._loop import Coroutines, LoopThread
 from uoarm.local._target import Target
-from uoarm.model import Endpoint, Role
+from uoarm.model import Endpoint, MessageStructure, Role
 from uoarm.testing import Background, patience, wait
 
 HERE = "tests.local.test_python_bridge"
@@ -138,6 +147,21 @@ def test_a_function_is_described_from_both_ends() -> None:
     given = describe(f"{HERE}:change", Role.OUTPUT).message
     assert taken == given
     assert describe(f"{HERE}:source", Role.OUTPUT).message == taken
+
+
+@structure(
+    output={"$schema": "http://json-schema.org/draft-07/schema#", "dependencies": {"a": ["b"]}},
+    input={"$schema": "http://json-schema.org/draft-03/schema#"},
+)
+def declared(message: Any) -> Any:
+    return message
+
+
+def test_a_structure_of_an_older_draft_is_described_in_the_newest() -> None:
+    found = describe(f"{HERE}:declared", Role.OUTPUT).message
+    assert found == MessageStructure({"dependentRequired": {"a": ["b"]}})
+    with pytest.raises(BridgeError, match=r"declared: its structure of input .* draft 04, 06"):
+        describe(f"{HERE}:declared", Role.INPUT)
 
 
 def test_what_has_no_hint_has_no_structure() -> None:

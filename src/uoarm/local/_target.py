@@ -125,7 +125,10 @@ def structure(
     request: Schema | None = None,
     reply: Schema | None = None,
 ) -> Callable[[F], F]:
-    """Declare the message structures of a component instead of hinting them."""
+    """Declare the message structures of a component instead of hinting them.
+
+    They are JSON Schemas of draft 2020-12, or of an older one that `$schema` names.
+    """
     given = {"input": input, "output": output, "request": request, "reply": reply}
 
     def mark(target: F) -> F:
@@ -206,7 +209,7 @@ class Target:
 
         def read(part: str) -> MessageStructure | None:
             if part in declared:
-                return MessageStructure(declared[part])
+                return self._declared(part, declared[part])
             if method is None:
                 return None
             return self._derived(part, endpoint, self._type_hints(method))
@@ -337,6 +340,15 @@ class Target:
             text = f"{self.name}.{name} is a {kind}: a port needs a method, which takes self first"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         return found
+
+    def _declared(self, part: str, schema: Schema) -> MessageStructure:
+        from uoarm.schema import SchemaError, newest  # noqa: PLC0415 - slow import, rarely needed
+
+        try:
+            return MessageStructure(newest(schema))
+        except SchemaError as error:
+            text = f"{self.name}: its structure of {part} is no JSON Schema: {error}"
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT) from error
 
     def _derived(
         self, part: str, endpoint: Endpoint, hints: Mapping[str, Any]
