@@ -247,6 +247,21 @@ def test_a_schema_that_is_no_json_is_named(tmp_path: Path) -> None:
     assert "Order.schema: expected JSON, got what is no JSON" in checked.output
 
 
+def test_a_type_that_is_defined_in_an_older_draft_is_compared_in_the_newest(tmp_path: Path) -> None:
+    locked(tmp_path / "a")
+    (known,) = (
+        structure.structure
+        for structure in read_lock(tmp_path / "a" / "robot.lock").structures.values()
+        if "Reading" in str(structure)
+    )
+    for draft, exit_code in (("draft-07", 0), ("draft-03", 3)):
+        old = {"$schema": f"http://json-schema.org/{draft}/schema#", **known}
+        (tmp_path / "a" / "Reading.schema").write_text(json.dumps(old))
+        checked = run(tmp_path / "a", "--check", "--against", str(tmp_path / "a"))
+        assert checked.exit_code == exit_code, checked.output
+    assert "Reading.schema: #/$schema: expected draft 04" in checked.output
+
+
 def test_a_type_that_two_files_define_otherwise_is_not_guessed(tmp_path: Path) -> None:
     locked(tmp_path / "a")
     new = tmp_path / "new"

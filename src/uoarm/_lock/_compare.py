@@ -32,6 +32,7 @@ from uoarm._resolve import Structures, Unavailable
 from uoarm.errors import ConfigurationError, PluginError, ResolutionError
 from uoarm.model import Component, LockDifference, LockMode, MessageStructure, Robot
 from uoarm.plugins import CONTRACT_VERSION, DefinitionFormat, DefinitionHooks, Definitions
+from uoarm.schema import SchemaError, newest
 
 _UNDECIDED = "it cannot be decided"
 Port = tuple[str, str]
@@ -327,9 +328,14 @@ def read_schemas(folder: Path, lock: Lock, *, is_installed: bool = False) -> dic
         schema = read_json(path)
         if not isinstance(schema, dict):
             continue
-        for name in (path.stem, schema.get("title"), name_of_type(schema.get("x-type"))):
-            if not isinstance(name, str) or not name:
-                continue
+        given = (path.stem, schema.get("title"), name_of_type(schema.get("x-type")))
+        names = [name for name in given if isinstance(name, str) and name]
+        if not types.isdisjoint(names):
+            try:
+                schema = newest(schema)
+            except SchemaError as error:
+                raise LockError(f"{path}: {error}") from error
+        for name in names:
             if name in types and schema != found.get(name, schema):
                 raise LockError(f"{folder}: {places[name]} and {path} define {name} otherwise")
             found[name], places[name] = schema, path
