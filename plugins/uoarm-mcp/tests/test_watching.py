@@ -47,6 +47,34 @@ def robot(memory: MemoryBridge, emitter: Emitter) -> Iterator[RobotManager]:
         yield robot
 
 
+def test_a_stream_that_could_not_be_had_is_watched_as_soon_as_it_can(
+    memory: MemoryBridge, access: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uoarm_mcp._service.AGAIN_SECONDS", 0.01)
+    configuration = loads(ROBOT)
+
+    async def listen(client: Client, robot: RobotManager) -> None:
+        async with client.listen(resource_subscriptions=["uoarm://stream/no", URI]) as listening:
+            changed = asyncio.ensure_future(anext(aiter(listening)))
+            await client.list_tools()  # so it has been looked for
+            assert not robot.connections()
+            emitter = memory.emitter("level", {"type": "integer"})
+
+            def is_watched() -> bool:
+                emitter.emit(1)
+                return changed.done()
+
+            await asyncio.to_thread(wait, is_watched, "it is watched")
+            assert await changed == ResourceUpdated(uri=URI)
+
+    with (
+        RobotManager(configuration, registry=Registry(()), bridges={"memory": memory}) as robot,
+        servers(robot, front_end_ports={"mcp": 0}) as start,
+        Agents(start(access=access).ports, TOKENS) as agents,
+    ):
+        agents.run(listen(agents.client("agent", "2026-07-28"), robot))
+
+
 async def test_what_was_just_opened_makes_no_room(
     robot: RobotManager, emitter: Emitter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -77,7 +105,7 @@ def test_a_stream_that_failed_is_watched_again(
     access: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("uoarm_mcp._streams._AGAIN_SECONDS", 0.01)
+    monkeypatch.setattr("uoarm_mcp._streams.AGAIN_SECONDS", 0.01)
 
     async def listen(client: Client) -> None:
         async with client.listen(resource_subscriptions=[URI]) as subscription:

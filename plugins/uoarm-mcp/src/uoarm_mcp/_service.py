@@ -67,7 +67,7 @@ from uoarm_mcp._actions import AgentActions, AgentGoals
 from uoarm_mcp._catalogue import OWN, STREAM, Catalogue, CatalogueMaker, FunctionTool, ToolKind
 from uoarm_mcp._robot_tools import RobotTools
 from uoarm_mcp._schemas import APPROVAL, check_schema
-from uoarm_mcp._streams import AgentStreams
+from uoarm_mcp._streams import AGAIN_SECONDS, AgentStreams
 from uoarm_mcp._values import (
     KEPT,
     KeptValues,
@@ -501,15 +501,21 @@ class AgentService:
         bus: InMemorySubscriptionBus,
         ends: list[Callable[[], None]],
     ) -> None:
-        for uri in uris:
+        """Watch each of them as soon as it can be had."""
 
-            async def send(uri: str = uri) -> None:
-                await bus.publish(ResourceUpdated(uri=uri))
+        async def send(uri: str) -> None:
+            await bus.publish(ResourceUpdated(uri=uri))
 
-            try:
-                ends.append(await self._watch(agent, uri, send))
-            except UoarmError:
-                continue  # as one that never changes
+        missing = dict.fromkeys(uris)
+        while True:
+            known = (await agent.catalogue()).resources  # once: of many none may be there
+            for uri in [uri for uri in missing if uri in known]:
+                with suppress(UoarmError):
+                    ends.append(await self._watch(agent, uri, partial(send, uri)))
+                    del missing[uri]
+            if not missing:
+                return
+            await asyncio.sleep(AGAIN_SECONDS)
 
     async def _watch(self, agent: Agent, uri: str, send: Callable[[], Any]) -> Callable[[], None]:
         """Have a notice sent after each message, several a second at most."""

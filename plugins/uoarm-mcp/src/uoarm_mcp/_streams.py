@@ -25,9 +25,9 @@ from uoarm.server.front_end import (
     read_message,
 )
 
+AGAIN_SECONDS = 2.0
 _read = partial(read_message, TEXT_FORM)
 _IDLE_SECONDS = 30.0
-_AGAIN_SECONDS = 2.0
 _MOST_OPEN = 64
 _MOST_OCTETS = 8_388_608
 
@@ -224,7 +224,7 @@ class AgentStreams:
 
     async def _watch_again(self, key: FeedKey, ended: HeldStream) -> None:
         while ended.watchers and not self._closed:
-            await asyncio.sleep(_AGAIN_SECONDS)
+            await asyncio.sleep(AGAIN_SECONDS)
             try:
                 held = await self.take(key)
             except UoarmError:
