@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from contextlib import suppress
 from typing import Any
@@ -10,11 +11,15 @@ from typing import Any
 import pytest
 from agents import Agents
 from components import CONFIGURATION, script
+from mcp.client.client import Client
+from mcp.shared.exceptions import MCPError
 from uoarm_mcp._catalogue import CatalogueMaker
 
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.errors import BridgeError
+from uoarm.model import Plan
+from uoarm.server import Server, ServerOptions
 from uoarm.testing import wait
 
 NAMESAKES = """
@@ -77,3 +82,56 @@ def test_after_a_takeover_a_tool_takes_what_the_other_component_takes(
     assert taken() == {"value"}
     wait(has_taken_over, "the spare takes over")
     wait(lambda: taken() == {"a", "b"}, "the tool is that of the spare")
+
+
+async def _pages(client: Client, method: str, part: str) -> list[list[str]]:
+    pages: list[list[str]] = []
+    cursor = None
+    while cursor is not None or not pages:
+        page = await getattr(client, method)(cursor=cursor)
+        pages.append([item.name for item in getattr(page, part)])
+        cursor = page.next_cursor
+    return pages
+
+
+def test_long_lists_have_pages(agents: Agents, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = agents.client()
+    for method, part in (("list_tools", "tools"), ("list_resources", "resources")):
+        monkeypatch.setattr("uoarm_mcp._service._PAGE", 50)
+        (names,) = agents.run(_pages(client, method, part))
+        monkeypatch.setattr("uoarm_mcp._service._PAGE", 3)
+        pages = agents.run(_pages(client, method, part))
+        assert [name for page in pages for name in page] == names
+        assert {len(page) for page in pages[:-1]} == {3}
+        with pytest.raises(MCPError, match="cursor: there is no 'x'; list anew"):
+            agents.run(getattr(client, method)(cursor="x"))
+
+
+async def test_what_was_made_of_what_was_before_is_not_kept(
+    robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot.apply(loads(NAMESAKES, origin=robot.config.origin))
+    server = Server(robot, ServerOptions(port=0))
+    await server.start()
+    try:
+        resolve, gate, sought = server.backend.resolve, asyncio.Event(), list[str]()
+
+        async def gated(name: str) -> Plan:
+            sought.append(name)
+            plan = await resolve(name)
+            await gate.wait()
+            return plan
+
+        monkeypatch.setattr(server.backend, "resolve", gated)
+        maker = CatalogueMaker(server.backend, lambda: None)
+        role = server.stateless_clients.local("").role
+        making = asyncio.ensure_future(maker.of(role))
+        while len(sought) < 2:  # noqa: ASYNC110 - until both are begun with
+            await asyncio.sleep(0)
+        maker.forget("numbers")
+        gate.set()
+        await making
+        assert "read_numbers" in (await maker.of(role)).tools
+        assert sought.count("numbers") == 2, "another component may provide it now"
+    finally:
+        await server.stop()

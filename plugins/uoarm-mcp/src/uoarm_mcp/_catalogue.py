@@ -151,8 +151,12 @@ class CatalogueMaker:
 
     def forget(self, function: str = "") -> None:
         """Look again at what could not be had, and at a function: the robot has changed."""
-        self._made.clear()
+        self._drop()
         self._searches.pop(function, None)  # another component may provide it now
+
+    def _drop(self) -> None:
+        # What is being made is of what was before: it is not kept, and no one else waits for it.
+        self._made, self._making = {}, {}
 
     def known(self, role: AccessRole) -> Catalogue | None:
         """Return the catalogue of a role, where it is made; without waiting."""
@@ -166,18 +170,18 @@ class CatalogueMaker:
             self._searches.clear()
             self._late.clear()
             self._listings.clear()
-            self._made.clear()
+            self._drop()
         made = self._made.get(role)
         if made is not None:
             return made
         making = self._making.get(role)
         if making is None:
             making = self._making[role] = asyncio.ensure_future(self._make(robot, role))
-            making.add_done_callback(lambda _: self._making.pop(role, None))
+            making.add_done_callback(partial(_take_out, self._making, role))
         return await asyncio.shield(making)
 
     async def _make(self, robot: Robot, role: AccessRole) -> Catalogue:
-        view = self._backend.role_views.of(role)
+        view, kept = self._backend.role_views.of(role), self._made
         visible = [name for name in robot.functions if view.has_function(name)]
         searches = await self._search(visible)
         tools: dict[str, FunctionTool] = {}
@@ -190,6 +194,7 @@ class CatalogueMaker:
                 left_out[name] = view.text(plan, name)
                 continue
             listing = self._listing(robot.functions[name], plan)
+            await asyncio.sleep(0)  # each takes a millisecond, and there may be thousands
             for made in listing.tools:
                 if not role.allows(made.operation, name):
                     left_out[made.tool.name] = f"the role may not {made.operation.value} {name}"
@@ -202,8 +207,8 @@ class CatalogueMaker:
                 outputs |= listing.outputs
         headed = frozenset(name for name, made in tools.items() if made.is_headed)
         catalogue = Catalogue(tools, _own_tools(role), resources, outputs, left_out, headed)
-        if self._robot is robot and not left_out.keys() & set(visible):
-            self._made[role] = catalogue
+        if not left_out.keys() & set(visible):
+            kept[role] = catalogue
         return catalogue
 
     async def _search(self, names: Iterable[str]) -> Mapping[str, asyncio.Task[Plan]]:
@@ -332,6 +337,12 @@ class CatalogueMaker:
 
     def _needs(self, operation: Operation, function: str) -> str:
         return self._backend.approvals.supervision.reason(operation, function)
+
+
+def _take_out(
+    making: dict[AccessRole, asyncio.Task[Catalogue]], role: AccessRole, made: object
+) -> None:
+    del made, making[role]
 
 
 def _result(search: asyncio.Task[Plan]) -> Plan | str:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 from jsonschema import Draft202012Validator
 from mcp.server.connection import Connection
@@ -88,10 +88,12 @@ _INSTRUCTIONS = (
     "out and why; plan says what a request would do before it does it; stop stops."
 )
 _NOTICE_SECONDS = 0.2
+_PAGE = 50
 _MOST_LISTENING = 16
 _MOST_SUBSCRIBED = 64
 _SUBSCRIBES = "uoarm.subscribes"
 _ALWAYS = frozenset({"stop", "cancel"})  # however many calls are under way
+_Item = TypeVar("_Item")
 _Context = ServerRequestContext[Any, Any]
 _client: ContextVar[StatelessClient | None] = ContextVar("uoarm_mcp_guest", default=None)
 
@@ -99,6 +101,22 @@ _client: ContextVar[StatelessClient | None] = ContextVar("uoarm_mcp_guest", defa
 def _connection(context: _Context) -> Connection:
     """Return what a session is from its first request to its end; `session` is of one request."""
     return context.session._connection  # noqa: SLF001 - the SDK has no other way to its `exit_stack`
+
+
+def _page(
+    items: list[_Item], names: list[str], params: PaginatedRequestParams | None
+) -> tuple[list[_Item], str | None]:
+    """Return one page of a list, and the cursor of the next one: the last name of this one.
+
+    The SDK writes an answer in the loop; for a thousand tools at once it takes a second and more.
+    """
+    begin = 0
+    if params is not None and params.cursor is not None:
+        if params.cursor not in names:
+            raise MCPError(INVALID_PARAMS, f"cursor: there is no {params.cursor!r:.200}; list anew")
+        begin = names.index(params.cursor) + 1
+    end = begin + _PAGE
+    return items[begin:end], names[end - 1] if end < len(items) else None
 
 
 class Agent:
@@ -366,8 +384,9 @@ class AgentService:
     async def _list_tools(
         self, context: _Context, params: PaginatedRequestParams | None
     ) -> ListToolsResult:
-        del params
-        return ListToolsResult(tools=await self._agent(context).tools())
+        tools = await self._agent(context).tools()
+        page, cursor = _page(tools, [tool.name for tool in tools], params)
+        return ListToolsResult(tools=page, next_cursor=cursor)
 
     async def _call_tool(self, context: _Context, params: CallToolRequestParams) -> CallToolResult:
         try:
@@ -378,14 +397,15 @@ class AgentService:
     async def _list_resources(
         self, context: _Context, params: PaginatedRequestParams | None
     ) -> ListResourcesResult:
-        del params
         agent = self._agent(context)
         catalogue = await agent.catalogue()
         kept = [
             Resource(uri=uri, name=uri.removeprefix(KEPT), mime_type=kind, size=size)
             for uri, kind, size in agent.kept.uris()
         ]
-        return ListResourcesResult(resources=[*catalogue.resources.values(), *kept])
+        resources = [*catalogue.resources.values(), *kept]
+        page, cursor = _page(resources, [resource.uri for resource in resources], params)
+        return ListResourcesResult(resources=page, next_cursor=cursor)
 
     async def _list_templates(
         self, context: _Context, params: PaginatedRequestParams | None
