@@ -271,6 +271,24 @@ class TestEmergencyStop:
         browser.js("void (WebSocket.prototype.send = window.given)")
         browser.until("document.querySelector('.link-state.open')")
 
+    def test_that_it_is_not_stopped_is_not_said_when_it_is(
+        self, browser: Browser, visit: Visit, robot: RobotManager
+    ) -> None:
+        visit()
+        browser.js("void (window.given = WebSocket.prototype.send)")
+        lost = "if (!JSON.parse(text).op.startsWith('Stop')) window.given.call(this, text)"
+        browser.js(f"void (WebSocket.prototype.send = function (text) {{ {lost} }})")
+        browser.click(".stop-all", "Stop all")
+        browser.until(says(".stopped", "NOT STOPPED"))
+        robot.stop_all()
+        browser.until(says(".stopped", "Nothing open moves."))
+        assert "NOT STOPPED" not in browser.js(text(".stopped"))
+        browser.click(".stopped .button", "Release")
+        browser.click(".stopped .button", "Confirm")
+        browser.until(says(".stopped", "Not released"))
+        robot.release()
+        browser.until("!document.querySelector('.stopped')")
+
     def test_a_client_without_the_right_gets_an_error_and_nothing_is_stopped(
         self, browser: Browser, serve: Serve, robot: RobotManager, tmp_path: Path
     ) -> None:

@@ -20,7 +20,7 @@ function causeOf({ held, phase, cause }) {
 
 /** The button; what the server refuses is said where it is asked. */
 export function StopAll({ store }) {
-  const stop = () => report(store, store.wire.ask("Stop"), "NOT STOPPED");
+  const stop = () => report(store, store.wire.ask("Stop"), "NOT STOPPED", true);
   return html`<button type="button" class="stop-all" onClick=${stop}><${Icon} name="stop" />Stop all</button>`;
 }
 
@@ -29,7 +29,7 @@ export function Stopped({ store }) {
   const { held } = store.status;
   const trouble = store.trouble && html`<${Notice} kind="bad" title=${store.trouble.title}>${store.trouble.text}</${Notice}>`;
   if (held == null) return trouble && html`<section class="stopped" aria-label="Emergency stop">${trouble}</section>`;
-  const release = () => report(store, store.wire.ask("Stop", "", { release: true }), "Not released");
+  const release = () => report(store, store.wire.ask("Stop", "", { release: true }), "Not released", false);
   const inputs = inputsOf(store.status);
   const old = store.link === "open" ? "" : "Not connected: this is what was known last.";
   return html`
@@ -43,12 +43,13 @@ export function Stopped({ store }) {
     </section>`;
 }
 
-async function report(store, asked, title) {
+/** `holds` is what was asked for: a status that has it ends the trouble, also where another asked. */
+async function report(store, asked, title, holds) {
   const say = (trouble) => {
     store.trouble = trouble;
     store.changed();
   };
-  const late = setTimeout(say, LATE, { title, text: "The server has not answered yet." });
+  const late = setTimeout(say, LATE, { title, text: "The server has not answered yet.", holds });
   try {
     const report = await asked;
     clearTimeout(late);
@@ -56,6 +57,6 @@ async function report(store, asked, title) {
     await store.refresh();
   } catch (error) {
     clearTimeout(late);
-    say({ title, text: error.message });
+    say({ title, text: error.message, holds });
   }
 }

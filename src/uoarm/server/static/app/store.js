@@ -130,6 +130,7 @@ export class Store {
 
   #see(status) {
     this.status = status;
+    if (this.trouble?.holds === (status.held != null)) this.trouble = null;
     this.watches.see(status);
     for (const connection of status.connections) this.owners.set(connection.id, connection.function);
     this.system = join(this.functions, status, this.events, this.hello?.session);
