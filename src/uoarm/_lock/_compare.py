@@ -21,6 +21,7 @@ from uoarm._lock._record import (
     LockedEdge,
     LockedFunction,
     LockError,
+    Port,
     meaning_of,
     read_json,
     read_lock,
@@ -35,7 +36,6 @@ from uoarm.plugins import CONTRACT_VERSION, DefinitionFormat, DefinitionHooks, D
 from uoarm.schema import SchemaError, newest
 
 _UNDECIDED = "it cannot be decided"
-Port = tuple[str, str]
 Find = Callable[[Port, MessageStructure], "MessageStructure | None"]
 _log = logging.getLogger("uoarm")
 
@@ -81,11 +81,7 @@ def compare(lock: Lock, other: Lock | Mapping[str, Any]) -> Iterator[LockFinding
             not among those stays as it is.
     """
     find = _in_lock(other) if isinstance(other, Lock) else _in_schemas(other)
-    known = {
-        (part.component, port): lock.structure(fingerprint)
-        for part in lock.parts()
-        for port, fingerprint in part.ports.items()
-    }
+    known = {port: lock.structure(fingerprint) for port, fingerprint in lock.ports().items()}
     for name, offer in lock.offers.items():
         for edge in offer.edges:
             yield _edge(f"offer {name}", edge, known, find)
@@ -96,11 +92,7 @@ def compare(lock: Lock, other: Lock | Mapping[str, Any]) -> Iterator[LockFinding
 
 
 def _in_lock(other: Lock) -> Find:
-    found = {
-        (part.component, port): other.structure(fingerprint)
-        for part in other.parts()
-        for port, fingerprint in part.ports.items()
-    }
+    found = {port: other.structure(fingerprint) for port, fingerprint in other.ports().items()}
     return lambda port, _: found.get(port)
 
 
@@ -193,11 +185,7 @@ class LockGuard:
         self.lock = lock
         self.mode = mode
         self._report = report
-        self._ports = {
-            (part.component, port): fingerprint
-            for part in lock.parts()
-            for port, fingerprint in part.ports.items()
-        }
+        self._ports = lock.ports()
         self._found: dict[tuple[str, str], LockDifference] = {}
         self._counting = threading.Lock()
 

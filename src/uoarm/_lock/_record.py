@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from attrs import field, fields, frozen
 
@@ -32,6 +32,8 @@ from uoarm.model import (
 from uoarm.model import read_json as json_of
 
 _T = TypeVar("_T")
+Port: TypeAlias = tuple[str, str]
+"""A component, and its port as `output.default`."""
 _GROUP = "uoarm.bridges"
 _CORE = "uoarm"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -228,6 +230,14 @@ class Lock:
             yield from (*function.parts, *function.others)
         for offer in self.offers.values():
             yield offer.part
+
+    def ports(self) -> dict[Port, str]:
+        """Return the fingerprint of each port of every part."""
+        return {
+            (part.component, port): fingerprint
+            for part in self.parts()
+            for port, fingerprint in part.ports.items()
+        }
 
     def edges(self) -> Iterator[LockedEdge]:
         """Yield every edge, of plans and of offers."""

@@ -132,11 +132,7 @@ class MeaningChecker:
             if bridge is None:
                 continue
             used.add(bridge)
-            if bridge not in self._bridges:
-                hint = self._speller.guess_or_list(bridge, self._bridges, "bridges")
-                self._refuse(
-                    (*component.path, "bridge"), f"there is no bridge {clip(bridge)}", hint
-                )
+            self._require(bridge, self._bridges, "bridge", (*component.path, "bridge"))
         for name in () if self._needs else self._bridges:
             if name not in used:
                 self._warn(
@@ -172,15 +168,11 @@ class MeaningChecker:
     def _check_offers(self) -> None:
         """Hold offers against what the functions' components have, as far as the file says it."""
         for bridge in dict.fromkeys(offer_part.bridge for offer_part in self._offers):
-            if bridge not in self._bridges:
-                hint = self._speller.guess_or_list(bridge, self._bridges, "bridges")
-                sentence = f"there is no bridge {clip(bridge)}"
-                self._refuse(("offer", bridge), sentence, hint, at_key=True)
+            self._require(bridge, self._bridges, "bridge", ("offer", bridge), at_key=True)
         for offer in self._offers:
-            if offer.function not in self._functions:
-                hint = self._speller.guess_or_list(offer.function, self._functions, "functions")
-                sentence = f"there is no function {clip(offer.function)}"
-                self._refuse(offer.path, sentence, hint, at_key=True)
+            if not self._require(
+                offer.function, self._functions, "function", offer.path, at_key=True
+            ):
                 continue
             self._check_ports(offer, "offer")
             providers = self._providers.get(offer.function, [])
@@ -193,10 +185,9 @@ class MeaningChecker:
             ):
                 if not names:
                     self._refuse(port.path, f"no component of {offer.function} has an {kind}")
-                elif port.name != "default" and port.name not in names:
-                    hint = self._speller.guess_or_list(port.name, names, f"{kind}s")
-                    sentence = f"{offer.function} has no {kind} {clip(port.name)}"
-                    self._refuse(port.path, sentence, hint)
+                elif port.name != "default":
+                    has_none = f"{offer.function} has no"
+                    self._require(port.name, names, kind, port.path, has_none)
             if offer.services() and not any(provider.services() for provider in providers):
                 sentence = f"no component of {offer.function} is a service"
                 self._refuse(offer.services()[0].path, sentence)
@@ -206,19 +197,16 @@ class MeaningChecker:
             return
         where = (*port.path, "from")
         function, dot, output = port.source.partition(".")
-        if function not in self._functions:
-            hint = self._speller.guess_or_list(function, self._functions, "functions")
-            self._refuse(where, f"there is no function {clip(function)}", hint)
+        if not self._require(function, self._functions, "function", where):
             return
         emitted = self._emitted.get(function)
         if emitted is None or not (emitted.names or emitted.is_clear):
             return
         if not emitted.names:
             self._refuse(where, f"no component of {function} has an output")
-        elif dot and output not in emitted.names:
-            hint = self._speller.guess_or_list(output, emitted.names, "outputs")
-            self._refuse(where, f"{function} has no output {clip(output)}", hint)
-        elif not dot and not emitted.has_main:
+        elif dot:
+            self._require(output, emitted.names, "output", where, f"{function} has no")
+        elif not emitted.has_main:
             self._refuse(
                 where,
                 f"{function} has several outputs and none is named default",
@@ -247,13 +235,10 @@ class MeaningChecker:
             function, _, output = name.partition(".")
             where: Path = ("record", "functions", number)
             emitted = self._emitted.get(function, _Emitted())
-            if function not in self._functions:
-                hint = self._speller.guess_or_list(function, self._functions, "functions")
-                self._refuse(where, f"there is no function {clip(function)}", hint)
-            elif output and emitted.is_clear and emitted.names and output not in emitted.names:
-                hint = self._speller.guess_or_list(output, emitted.names, "outputs")
-                text = f"no component of {clip(function)} has an output {clip(output)}"
-                self._refuse(where, text, hint)
+            is_known = self._require(function, self._functions, "function", where)
+            if is_known and output and emitted.is_clear and emitted.names:
+                has_none = f"no component of {clip(function)} has an"
+                self._require(output, emitted.names, "output", where, has_none)
         for option, sentence in RecordOptions.mistakes(options):
             self._refuse(("record", option), sentence)
 
@@ -261,10 +246,9 @@ class MeaningChecker:
         asked = applications(self._document.value)
         for name, functions in asked.items():
             for number, function in enumerate(functions):
-                if isinstance(function, str) and function not in self._functions:
-                    hint = self._speller.guess_or_list(function, self._functions, "functions")
+                if isinstance(function, str):
                     where: Path = ("applications", name, number)
-                    self._refuse(where, f"there is no function {clip(function)}", hint)
+                    self._require(function, self._functions, "function", where)
         if not asked:
             return
         used = {str(function) for functions in asked.values() for function in functions}
@@ -321,6 +305,22 @@ class MeaningChecker:
                 f"some components close a cycle, others avoid it: {_arrows(cycle)}",
                 at_key=True,
             )
+
+    def _require(
+        self,
+        name: str,
+        known: Collection[str],
+        kind: str,
+        path: Path,
+        has_none: str = "there is no",
+        *,
+        at_key: bool = False,
+    ) -> bool:
+        """Say whether a name is known; refuse one that is not, with names that are like it."""
+        if name not in known:
+            hint = self._speller.guess_or_list(name, known, f"{kind}s")
+            self._refuse(path, f"{has_none} {kind} {clip(name)}", hint, at_key=at_key)
+        return name in known
 
     def _refuse(self, path: Path, sentence: str, hint: str = "", *, at_key: bool = False) -> None:
         self.problems.append(self._problem(path, sentence, hint, at_key=at_key))

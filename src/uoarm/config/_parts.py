@@ -120,8 +120,7 @@ def needs(value: object) -> dict[str, dict[str, Any]]:
 
 def applications(value: object) -> dict[str, list[Any]]:
     """Return what each application asks for, where it can be read."""
-    asked = _mapping(_mapping(value).get("applications"))
-    return {name: names for name, names in asked.items() if isinstance(names, list)}
+    return _lists(value, "applications")
 
 
 def recorded(value: object) -> tuple[list[Any], dict[str, Any]]:
@@ -134,8 +133,7 @@ def recorded(value: object) -> tuple[list[Any], dict[str, Any]]:
 
 def exports(value: object) -> dict[str, list[Any]]:
     """Return what other managers may import, by role, where it can be read."""
-    roles = _mapping(_mapping(value).get("export"))
-    return {role: names for role, names in roles.items() if isinstance(names, list)}
+    return _lists(value, "export")
 
 
 def listening(value: object) -> dict[str, Any]:
@@ -156,6 +154,11 @@ def components(value: object) -> Iterator[ComponentPart]:
 
 def _mapping(value: object) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
+
+
+def _lists(value: object, key: str) -> dict[str, list[Any]]:
+    named = _mapping(_mapping(value).get(key))
+    return {name: names for name, names in named.items() if isinstance(names, list)}
 
 
 Mistake: TypeAlias = "tuple[Path, str, str]"

@@ -6,6 +6,7 @@ Calls come back, fail and end in time; served functions and links can be reached
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
 
@@ -188,6 +189,20 @@ def _places_of_service(world: World) -> tuple[Endpoint, Endpoint]:
     return places
 
 
+def _hold_failing_once(world: World, bridge: Bridge, fail: Callable[[], Message]) -> None:
+    """Hold that a served function that fails fails its caller, and answers the next one."""
+    offered, called = _places_of_service(world)
+    replies: list[Message] = []
+    channel = bridge.serve(offered, lambda _: replies[0] if replies else fail())
+    request, reply = examples_of_service(bridge, called)
+    with pytest.raises(BridgeError):
+        bridge.call(called, request, timeout=_FAILING_SECONDS)
+    replies.append(reply)
+    again = Background(lambda: bridge.call(called, request)).result(world.patience)
+    assert same(again, reply)
+    channel.close()
+
+
 _CALLERS = 8
 _SHORT_SECONDS = 0.5
 _FAILING_SECONDS = 2.0  # a framework without a form for failures lets the caller wait
@@ -336,38 +351,15 @@ class ServiceRules:
     def test_a_served_function_that_raises_fails_its_caller(
         self, world: World, bridge: Bridge
     ) -> None:
-        offered, called = _places_of_service(world)
-        replies: list[Message] = []
-
-        def answer(_: Message) -> Message:
-            if replies:
-                return replies[0]
+        def fail() -> Message:
             raise ArithmeticError("the handler raises")
 
-        channel = bridge.serve(offered, answer)
-        request, reply = examples_of_service(bridge, called)
-        with pytest.raises(BridgeError):
-            bridge.call(called, request, timeout=_FAILING_SECONDS)
-        replies.append(reply)
-        again = Background(lambda: bridge.call(called, request)).result(world.patience)
-        assert same(again, replies[0])
-        channel.close()
+        _hold_failing_once(world, bridge, fail)
 
     def test_a_served_function_whose_reply_fits_nothing_fails_its_caller(
         self, world: World, bridge: Bridge
     ) -> None:
-        offered, called = _places_of_service(world)
-        replies: list[Message] = []
-        channel = bridge.serve(
-            offered, lambda _: replies[0] if replies else {"no_such_field_anywhere": object()}
-        )
-        request, reply = examples_of_service(bridge, called)
-        with pytest.raises(BridgeError):
-            bridge.call(called, request, timeout=_FAILING_SECONDS)
-        replies.append(reply)
-        again = Background(lambda: bridge.call(called, request)).result(world.patience)
-        assert same(again, reply)
-        channel.close()
+        _hold_failing_once(world, bridge, lambda: {"no_such_field_anywhere": object()})
 
     def test_a_request_that_fits_nothing_is_refused_in_words(
         self, world: World, bridge: Bridge, served: Served
