@@ -189,15 +189,7 @@ def kind_of(value: object) -> str:
     known = _KINDS.get(value.__class__)
     if known is not None:
         return known
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return "boolean"
-    if isinstance(value, int | float):
-        return "number"
-    if isinstance(value, str):
-        return "string"
-    return "array" if isinstance(value, list | tuple | Repeated) else "object"
+    return next((name for kind, name in _KINDS.items() if isinstance(value, kind)), "object")
 
 
 def key_of(value: object) -> Key:

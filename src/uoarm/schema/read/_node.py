@@ -285,13 +285,6 @@ ANNOTATIONS = frozenset(
      "writeOnly", "format", "contentEncoding", "contentMediaType", "contentSchema", "$defs",
      "$anchor", "$dynamicAnchor", "$schema", "$vocabulary", "$id", "definitions"}
 )  # fmt: skip
-_SHAPE_COUNTS = frozenset(
-    {"minLength", "maxLength", "minItems", "maxItems", "minContains", "maxContains",
-     "minProperties", "maxProperties", "x-max-utf8", "x-max-utf16"}
-)  # fmt: skip
-_SHAPE_NUMBERS = frozenset(
-    {"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf"}
-)
 _STRINGS = frozenset({"$ref", "$anchor", "$dynamicRef", "$dynamicAnchor", "$id", "pattern"})
 _PATTERNED = frozenset({"pattern", "patternProperties"})
 _SIZED = (dict, list, str, Mapping)
@@ -369,13 +362,8 @@ def _is_lists_of_names(value: object) -> bool:
 
 
 def _is_type(value: object) -> bool:
-    if isinstance(value, str):
-        return value in _TYPES
-    return (
-        isinstance(value, list)
-        and bool(value)
-        and all(isinstance(item, str) and item in _TYPES for item in value)
-    )
+    names = [value] if isinstance(value, str) else value
+    return isinstance(names, list) and bool(names) and all(name in _TYPES for name in names)
 
 
 def _is_a(kind: type) -> Callable[[object], bool]:
@@ -386,8 +374,8 @@ _SHAPES: dict[str, tuple[Callable[[object], bool], str]] = {
     **dict.fromkeys(SINGLES, (_is_schema, "a schema")),
     **dict.fromkeys(LISTS, (_is_schemas, "a list of schemas")),
     **dict.fromkeys(MAPS, (_is_map, "schemas by name")),
-    **dict.fromkeys(_SHAPE_COUNTS, (_is_count, "a whole number, zero or more")),
-    **dict.fromkeys(_SHAPE_NUMBERS, (_is_number, "a finite number")),
+    **dict.fromkeys(_COUNTS, (_is_count, "a whole number, zero or more")),
+    **dict.fromkeys(_NUMBERS, (_is_number, "a finite number")),
     **dict.fromkeys(_STRINGS, (_is_a(str), "a string")),
     "uniqueItems": (_is_a(bool), "true or false"),
     "x-nul": (_is_a(bool), "true or false"),
