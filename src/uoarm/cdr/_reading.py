@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, NoReturn
 
 from uoarm.cdr._layout import (
     SIZES,
@@ -356,25 +356,18 @@ def _wrong_size(size: int, end: int) -> None:
     )
 
 
-def _too_large(size: int, most: int) -> None:
-    raise UnfitValue(f"{size:,} octets came, {most:,} are allowed")
+def _failing(text: str) -> Callable[..., NoReturn]:
+    """Return what a generated function calls, with the numbers of the text, to refuse octets."""
+
+    def fail(*numbers: int) -> NoReturn:
+        raise UnfitValue(text.format(*numbers))
+
+    return fail
 
 
-def _cut_short(octets: int, left: int) -> None:
-    raise UnfitValue(f"it is cut short: {octets:,} octets should follow, and {left:,} do")
-
-
-def _too_many(number: int, most: int) -> None:
-    raise UnfitValue(f"expected at most {most} elements, got {number}")
-
-
-def _too_long(length: int, most: int) -> None:
-    raise UnfitValue(f"expected a text of at most {most} octets or units, got {length}")
-
-
-def _too_much() -> None:
-    raise UnfitValue("it holds more elements than are allowed")
-
-
-def _no_label(number: int) -> None:
-    raise UnfitValue(f"enumerator number {number} does not exist")
+_too_large = _failing("{:,} octets came, {:,} are allowed")
+_cut_short = _failing("it is cut short: {:,} octets should follow, and {:,} do")
+_too_many = _failing("expected at most {1} elements, got {0}")
+_too_long = _failing("expected a text of at most {1} octets or units, got {0}")
+_too_much = _failing("it holds more elements than are allowed")
+_no_label = _failing("enumerator number {} does not exist")
