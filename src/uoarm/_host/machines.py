@@ -14,9 +14,8 @@ from attrs import evolve
 
 from uoarm._host.process_connection import HostSettings
 from uoarm._host.transport import keys
-from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
-from uoarm._host.transport.shared_counters import SharedCounters
-from uoarm._host.transport.transport import Reply, Transport
+from uoarm._host.transport.liveness import HostConnection, LivenessMonitor
+from uoarm._host.transport.transport import Reply
 from uoarm._host.transport.zenoh_transport import (
     MANAGER,
     Identity,
@@ -31,7 +30,7 @@ from uoarm.model import BridgeSpec, Listening
 _JOIN_SECONDS = 2.0
 
 
-class MachineConnection:
+class MachineConnection(HostConnection):
     """Has a host on another machine take up a bridge, and returns when it has.
 
     The host was started there and stays there: nothing here starts, kills or restarts it. With
@@ -66,9 +65,7 @@ class MachineConnection:
         on_health: Callable[[Mapping[str, Any], Reply], None],
     ) -> None:
         self._subject = f"machine {machine!r}"
-        self._liveness = LivenessMonitor(spec.name, on_doubt, on_death)
-        self._heartbeat: Heartbeat | None = None
-        self.counters: SharedCounters | None = None  # no memory is shared with another machine
+        super().__init__(LivenessMonitor(spec.name, on_doubt, on_death))
         host = registry.find(machine, spec.name, settings.start)
         if host is None:
             text = f"no host of {self._subject} is there for bridge {spec.name!r}"
@@ -82,7 +79,7 @@ class MachineConnection:
         registry.hold(self)
         deadline = time.monotonic() + settings.start
         prefix = keys.bridge_prefix(machine, spec.name, uuid.uuid4().hex[:12])
-        self.transport: Transport = registry.part(prefix)
+        self.transport = registry.part(prefix)
         self.transport.ahead = lambda: registry.offset(machine).nanoseconds
         try:
             self.transport.show_alive(keys.MANAGED)
@@ -100,20 +97,9 @@ class MachineConnection:
         except BaseException:
             self.close(None)
             raise
-        self._heartbeat = Heartbeat(
-            spec.name,
-            self.transport,
-            silence=settings.silence,
-            on_answer=on_answer,
-            on_doubt=self._liveness.doubt,
-            on_silence=self._give_up,
+        self._begin_heartbeat(
+            spec.name, silence=settings.silence, on_answer=on_answer, on_silence=self._give_up
         )
-        self._heartbeat.start()
-
-    @property
-    def dead(self) -> str:
-        """Why the host was lost, "" while it is there."""
-        return self._liveness.dead
 
     @property
     def process(self) -> int:
@@ -125,32 +111,15 @@ class MachineConnection:
         text = f"the host is a process of {self._subject}: it is not started or killed from here"
         raise BridgeError(text, FailureReason.UNSUPPORTED)
 
-    def ask(self, operation: str, values: Mapping[str, Any]) -> Any:
-        """Ask the host for one operation of the contract; waits two minutes at most.
-
-        Raises:
-            UoarmError: what the bridge raised.
-            BridgeError: UNAVAILABLE when the host is lost; the text says why.
-        """
-        return self._liveness.ask(self.transport, operation, values)
-
     def close(self, say_close: Callable[[], object] | None) -> None:
         """Let the bridge go: the host closes it, and waits for the next manager.
 
         Raises:
             UoarmError: the bridge failed while closing; it was let go all the same.
         """
-        self._liveness.expect_end()
-        if self._heartbeat is not None:
-            self._heartbeat.stop()
         try:
-            if say_close is not None and not self.dead:
-                say_close()
+            super().close(say_close)
         finally:
-            if self._heartbeat is not None:
-                self._heartbeat.join(_JOIN_SECONDS)
-            self.transport.close()
-            self._liveness.ended()
             self._registry.let_go(self)
 
     def _seen(self, present: bool) -> None:  # noqa: FBT001 - a callback

@@ -23,7 +23,7 @@ from attrs import field, frozen
 from uoarm._forks import at_exit, close_in_children, generation
 from uoarm._host.transport import keys
 from uoarm._host.transport.frames import LinkSockets
-from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
+from uoarm._host.transport.liveness import HostConnection, LivenessMonitor
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply
@@ -302,10 +302,9 @@ class HostSettings:
 _log = logging.getLogger("uoarm")
 _POLITE_SECONDS = 1.5
 _KILLED_SECONDS = 5.0
-_JOIN_SECONDS = 2.0
 
 
-class ProcessConnection:
+class ProcessConnection(HostConnection):
     """Starts a host and returns when it is ready: its token seen and its greeting received.
 
     Args:
@@ -334,23 +333,21 @@ class ProcessConnection:
         on_health: Callable[[Mapping[str, Any], Reply], None],
         origin: str = "",
     ) -> None:
+        super().__init__(LivenessMonitor(spec.name, on_doubt, on_death))
         self._name = spec.name
         self._memory = settings.memory
         self._given_up = ""
         self._process = generation()
         self._forget_exit: Callable[[], None] = lambda: None
-        self._liveness = LivenessMonitor(spec.name, on_doubt, on_death)
-        self._transport: SocketTransport | None = None
         self._started: HostProcess | None = None
-        self._heartbeat: Heartbeat | None = None
         deadline = time.monotonic() + settings.start
         command = host_command(settings.interpreter(), spec.name, origin)
         variables = {**KEEPING, **settings.process_variables(os.environ)}
         counted, near, far = _shared_with_host(spec.name)
         self.counters = SharedCounters(counted.fileno(), gives=True)
-        self._transport = SocketTransport(near, spec.name)
-        self._transport.watch_alive(keys.ALIVE, self._liveness.seen)
-        self._transport.answer(keys.HEALTH, on_health)
+        self.transport = SocketTransport(near, spec.name)
+        self.transport.watch_alive(keys.ALIVE, self._liveness.seen)
+        self.transport.answer(keys.HEALTH, on_health)
         try:
             with counted, closing(far):  # the host has inherited them, or there is none
                 passed = *far.descriptors, counted.fileno()
@@ -370,42 +367,16 @@ class ProcessConnection:
         except BaseException:
             self.close(None)
             raise
-        self._heartbeat = Heartbeat(
-            spec.name,
-            self._transport,
-            silence=settings.silence,
-            on_answer=on_answer,
-            on_doubt=self._liveness.doubt,
-            on_silence=self._give_up,
+        self._begin_heartbeat(
+            spec.name, silence=settings.silence, on_answer=on_answer, on_silence=self._give_up
         )
-        self._heartbeat.start()
         self._forget_exit = at_exit(self._end_with_python)
-
-    @property
-    def dead(self) -> str:
-        """Why the host died, "" while it lives."""
-        return self._liveness.dead
-
-    @property
-    def transport(self) -> SocketTransport:
-        """The transport to the host."""
-        assert self._transport is not None, "the constructor raises when there is none"
-        return self._transport
 
     @property
     def process(self) -> int:
         """The id of the host's process."""
         assert self._started is not None, "the constructor raises when there is none"
         return self._started.number
-
-    def ask(self, operation: str, values: Mapping[str, Any]) -> Any:
-        """Ask the host for one operation of the contract; waits two minutes at most.
-
-        Raises:
-            UoarmError: what the bridge raised.
-            BridgeError: UNAVAILABLE when the host is dead; the text says of what it died.
-        """
-        return self._liveness.ask(self.transport, operation, values)
 
     def close(self, say_close: Callable[[], object] | None) -> None:
         """End the host: with `say_close` when it is given and the host lives, else at once.
@@ -417,24 +388,11 @@ class ProcessConnection:
         if generation() != self._process:
             return  # in a child that was forked: the host is its parent's
         self._forget_exit()
-        self._liveness.expect_end()
-        if self._heartbeat is not None:
-            self._heartbeat.stop()
-        try:
-            if say_close is not None and not self.dead:
-                say_close()
-        finally:
-            ends_alone = say_close is not None or bool(self.dead)
-            try:
-                if self._started is not None:
-                    self._started.end(_POLITE_SECONDS if ends_alone else 0.0)
-            finally:
-                if self._heartbeat is not None:
-                    self._heartbeat.join(_JOIN_SECONDS)
-                if self._transport is not None:
-                    self._transport.close()
-                    self.counters.close()
-                self._liveness.ended()
+        super().close(say_close)
+
+    def _end_host(self, *, ends_alone: bool) -> None:
+        if self._started is not None:
+            self._started.end(_POLITE_SECONDS if ends_alone else 0.0)
 
     def _end_with_python(self) -> None:
         """End a host that was not closed before the interpreter ends."""

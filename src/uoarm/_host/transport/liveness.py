@@ -1,4 +1,4 @@
-"""Whether a host lives: by its token, its heartbeat and its end.
+"""Whether a host lives, by its token, its heartbeat and its end, and the connection to it.
 
 A token of the transport drops when the process dies, but stays while the process hangs and holds
 the interpreter lock; only the answer to a heartbeat shows that it lives.
@@ -14,6 +14,7 @@ from queue import Empty, Queue
 from typing import Any
 
 from uoarm._host.transport import keys
+from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.transport import ANSWER_SECONDS, LinkLostError, Transport
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
@@ -21,6 +22,7 @@ _MARGIN_SECONDS = 0.5
 _NEWS_SECONDS = 2.0
 _LEAST_SECONDS = 0.1
 _INTERVAL_SECONDS = 0.5
+_JOIN_SECONDS = 2.0
 _DOUBT = 1 / 3
 
 
@@ -262,3 +264,61 @@ class Heartbeat:
         doubt = self._silence.doubt(now)
         if doubt is not None:
             self._on_doubt(doubt)
+
+
+class HostConnection:
+    """What a manager has of one host, wherever that runs: its link, and whether it lives.
+
+    Attributes:
+        transport: to the host; set before `close` may be called.
+        counters: in memory that is shared with the host; None: there is none.
+        greeting: how it answered to hello.
+    """
+
+    transport: Transport
+    counters: SharedCounters | None = None
+    greeting: Mapping[str, Any]
+    _heartbeat: Heartbeat | None = None
+
+    def __init__(self, liveness: LivenessMonitor) -> None:
+        self._liveness = liveness
+
+    @property
+    def dead(self) -> str:
+        """Why the host died or was lost, "" while it is there."""
+        return self._liveness.dead
+
+    def ask(self, operation: str, values: Mapping[str, Any]) -> Any:
+        """Ask the host for one operation of the contract; raises as `LivenessMonitor.ask`."""
+        return self._liveness.ask(self.transport, operation, values)
+
+    def close(self, say_close: Callable[[], object] | None) -> None:
+        """End the link: with `say_close` when it is given and the host lives, else at once.
+
+        Raises:
+            UoarmError: the bridge in the host failed while closing; the link has ended anyway.
+        """
+        self._liveness.expect_end()
+        if self._heartbeat is not None:
+            self._heartbeat.stop()
+        try:
+            if say_close is not None and not self.dead:
+                say_close()
+        finally:
+            try:
+                self._end_host(ends_alone=say_close is not None or bool(self.dead))
+            finally:
+                if self._heartbeat is not None:
+                    self._heartbeat.join(_JOIN_SECONDS)
+                self.transport.close()
+                if self.counters is not None:
+                    self.counters.close()
+                self._liveness.ended()
+
+    def _end_host(self, *, ends_alone: bool) -> None:
+        """End what was started of the host here, unless it ends alone in time."""
+
+    def _begin_heartbeat(self, name: str, **options: Any) -> None:
+        doubt = self._liveness.doubt
+        self._heartbeat = Heartbeat(name, self.transport, on_doubt=doubt, **options)
+        self._heartbeat.start()
