@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,13 +11,13 @@ from typing import Any, NoReturn
 
 import click
 
-from uoarm._forks import default_in_children
 from uoarm.cli._output import echo, styled
 from uoarm.cli._shared import (
     BRIDGE,
     REFUSED,
     FunctionArgument,
     Seconds,
+    at_signals,
     json_option,
     open_robot,
     print_error,
@@ -136,10 +134,6 @@ def _follow(recording: Recording, *, as_json: bool) -> None:
 @contextmanager
 def _dumping(recording: Recording) -> Iterator[None]:
     """Write the ring at SIGUSR1, in a thread of its own."""
-    number = getattr(signal, "SIGUSR1", None)
-    if number is None or threading.current_thread() is not threading.main_thread():
-        yield
-        return
 
     def dump() -> None:
         try:
@@ -147,13 +141,8 @@ def _dumping(recording: Recording) -> Iterator[None]:
         except UoarmError as error:
             print_error(error)
 
-    # Not in the handler: what it interrupts may hold a lock that this needs.
-    former = signal.signal(number, lambda *_: threading.Thread(target=dump, daemon=True).start())
-    default_in_children([number])
-    try:
+    with at_signals(SIGUSR1=dump):
         yield
-    finally:
-        signal.signal(number, former)
 
 
 def _line(status: RecordingStatus, seconds: float) -> str:

@@ -27,6 +27,7 @@ from uoarm._version import __version__
 from uoarm.cli._announce import Announcement
 from uoarm.cli._output import echo
 from uoarm.cli._shared import (
+    at_signals,
     is_address,
     needing,
     open_robot,
@@ -301,21 +302,8 @@ def stopping(manager: RobotManager) -> Iterator[None]:
             audit.released("SIGUSR2", "")
             echo("commands are let through again", err=True)
 
-    former = {
-        number: signal.signal(
-            number,
-            # Not in the handler: what it interrupts may hold a lock that this needs.
-            lambda *_, act=act: threading.Thread(target=act, daemon=True).start(),
-        )
-        for name, act in (("SIGUSR1", stop), ("SIGUSR2", release))
-        if (number := getattr(signal, name, None)) is not None  # not on every system
-    }
-    default_in_children(former)
-    try:
+    with at_signals(SIGUSR1=stop, SIGUSR2=release):
         yield
-    finally:
-        for number, handler in former.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

@@ -167,6 +167,29 @@ def terminable(context: click.Context) -> None:
     context.call_on_close(lambda: signal.signal(hangup, signal.SIG_DFL))
 
 
+@contextmanager
+def at_signals(**actions: Callable[[], object]) -> Iterator[None]:
+    """Act on signals, by their names, during the block, each time in a thread of its own."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    former = {
+        number: signal.signal(
+            number,
+            # Not in the handler: what it interrupts may hold a lock that this needs.
+            lambda *_, act=act: threading.Thread(target=act, daemon=True).start(),
+        )
+        for name, act in actions.items()
+        if (number := getattr(signal, name, None)) is not None  # not on every system
+    }
+    default_in_children(former)
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
+
 def exit_code_of(error: errors.UoarmError) -> int:
     """Return the documented exit code of a command that an error ends."""
     if isinstance(error, errors.CommandLineError):

@@ -61,9 +61,7 @@ _NAME_HINT = "a name has letters, digits, _ and -, begins with a letter or _, 12
 @cache
 def published_schema() -> dict[str, Any]:
     """Return the JSON Schema of the configuration file, for editors and for this check."""
-    text = files("uoarm.config").joinpath("robot.schema.json").read_text(encoding="utf-8")
-    schema: dict[str, Any] = json.loads(text)
-    return schema
+    return _read_schema("robot.schema.json")
 
 
 def completed_schema(types: Mapping[str, BridgeType]) -> dict[str, Any]:
@@ -107,7 +105,11 @@ def _options_of_ports(types: Mapping[str, BridgeType]) -> dict[str, Any]:
 @cache
 def structure_schema() -> dict[str, Any]:
     """Return the JSON Schema of message structures: the dialect, and what values mean."""
-    text = files("uoarm.config").joinpath("structure.schema.json").read_text(encoding="utf-8")
+    return _read_schema("structure.schema.json")
+
+
+def _read_schema(file: str) -> dict[str, Any]:
+    text = files("uoarm.config").joinpath(file).read_text(encoding="utf-8")
     schema: dict[str, Any] = json.loads(text)
     return schema
 

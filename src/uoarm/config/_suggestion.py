@@ -261,12 +261,11 @@ def _address(port: FoundPort) -> str:
 
 
 def _unknown(port: FoundPort) -> str:
-    known = port.message is not None or port.request is not None
-    if known:
+    if port.message is not None or port.request is not None:
         return ""
-    if port.endpoint.role is Role.SERVICE:
-        return "  # not known, and must be added: request: SCHEMA, reply: SCHEMA; true is any"
-    return "  # not known, and must be added: structure: SCHEMA; true is any"
+    is_service = port.endpoint.role is Role.SERVICE
+    keys = "request: SCHEMA, reply: SCHEMA" if is_service else "structure: SCHEMA"
+    return f"  # not known, and must be added: {keys}; true is any"
 
 
 _MOST_FUNCTIONS = 500

@@ -15,7 +15,14 @@ from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.model import BridgeSpec, Role
 from uoarm.schema import newest
 from uoarm.testing._resources import ResourceSnapshot
-from uoarm.testing.conformance._world import World, example_of, line, rules, structure_of
+from uoarm.testing.conformance._world import (
+    World,
+    example_of,
+    line,
+    rules,
+    structure_of,
+    supplied,
+)
 
 _FAILURES = 5
 _ABSENT = (FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE)
@@ -129,10 +136,7 @@ class Declaring:
     @pytest.fixture
     def spec(self, world: World) -> BridgeSpec:
         """The bridge as a configuration has it, or a skip where the world does not say."""
-        found = world.spec()
-        if found is None:
-            pytest.skip("the world does not say what a configuration would: `spec`")
-        return found
+        return supplied(world.spec(), "the world does not say what a configuration would: `spec`")
 
     @pytest.fixture
     def declared(self, world: World, spec: BridgeSpec) -> BridgeType:
@@ -225,9 +229,7 @@ class Declaring:
     def test_addresses_are_checked_in_words_without_the_framework(
         self, world: World, declared: BridgeType, kind: str
     ) -> None:
-        check = declared.check_endpoint
-        if check is None:
-            pytest.skip("the plugin does not check addresses")
+        check = supplied(declared.check_endpoint, "the plugin does not check addresses")
         for address in _ADDRESSES:
             assert isinstance(check(address, {}), str)
         assert check((), {}), "an address without parts is taken for right"

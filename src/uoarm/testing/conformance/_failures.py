@@ -23,6 +23,7 @@ from uoarm.testing.conformance._world import (
     of_paths,
     rules,
     structure_of,
+    supplied,
     with_half,
 )
 
@@ -138,10 +139,8 @@ class Breaking:
     def test_a_served_function_answers_again_once_it_is_mended(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        places, log = world.servable(), HealthLog(world, bridge)
-        if places is None:
-            pytest.skip("the bridge does not serve")
-        offered, called = places
+        offered, called = supplied(world.servable(), "the bridge does not serve")
+        log = HealthLog(world, bridge)
         replies: list[Message] = []
         serving = closing(bridge.serve(offered, lambda _: replies[0]))
         with serving as channel, line(world, bridge, kind) as through:
@@ -314,9 +313,7 @@ class DisturbanceRules:
     """What goes wrong outside the bridge."""
 
     def test_a_death_is_reported_with_its_cause(self, world: World, bridge: Bridge) -> None:
-        victim = world.victim()
-        if victim is None:
-            pytest.skip("nothing in this world dies alone")
+        victim = supplied(world.victim(), "nothing in this world dies alone")
         component = victim.source.component
         events: list[HealthEvent] = []
         opened: list[Channel] = []
@@ -410,9 +407,7 @@ class DisturbanceRules:
     def test_what_cannot_be_read_is_said_and_ends_nothing(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        emit = world.unreadable(kind)
-        if emit is None:
-            pytest.skip("nothing in this world can be made unreadable")
+        emit = supplied(world.unreadable(kind), "nothing in this world can be made unreadable")
         report = HealthLog(world, bridge)
         with line(world, bridge, kind) as through:
             emit()

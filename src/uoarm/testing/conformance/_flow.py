@@ -28,6 +28,7 @@ from uoarm.testing.conformance._world import (
     hold_idle_between,
     line,
     rules,
+    supplied,
     with_half,
     with_integers,
     with_length,
@@ -96,9 +97,7 @@ class Flow:
                 assert len(came) == 1, f"what was sent elsewhere came, too: {came}"
 
     def test_a_retained_message_comes_first(self, world: World, bridge: Bridge) -> None:
-        retained = world.retained()
-        if retained is None:
-            pytest.skip("the world retains nothing")
+        retained = supplied(world.retained(), "the world retains nothing")
         message, collector = retained.emit(), Collector()
         structure = bridge.describe(retained.source).message
         assert structure is not None
@@ -183,10 +182,7 @@ class Flow:
 
 def _places_of_service(world: World) -> tuple[Endpoint, Endpoint]:
     """Return where a function can be served and called, or skip the test."""
-    places = world.servable()
-    if places is None:
-        pytest.skip("the bridge does not serve")
-    return places
+    return supplied(world.servable(), "the bridge does not serve")
 
 
 def _hold_failing_once(world: World, bridge: Bridge, fail: Callable[[], Message]) -> None:
@@ -217,10 +213,7 @@ class ServiceRules:
     @pytest.fixture
     def served(self, world: World) -> Served:
         """The world's service, or a skip where there is none."""
-        found = world.served()
-        if found is None:
-            pytest.skip("the world has no service")
-        return found
+        return supplied(world.served(), "the world has no service")
 
     def test_a_service_is_described_by_request_and_reply(
         self, bridge: Bridge, served: Served
@@ -245,19 +238,16 @@ class ServiceRules:
             assert same(came, reply), f"the reply to {request!r} is {came!r}, expected {reply!r}"
 
     def test_a_service_that_fails_is_a_bridge_error(self, bridge: Bridge, served: Served) -> None:
-        if served.failing is None:
-            pytest.skip("the world has no service that fails")
+        failing = supplied(served.failing, "the world has no service that fails")
         with pytest.raises(BridgeError) as caught:
-            bridge.call(served.failing, served.request)
+            bridge.call(failing, served.request)
         assert str(caught.value)
         assert same(bridge.call(served.endpoint, served.request), served.reply)
 
     def test_a_service_that_is_silent_ends_in_time(
         self, world: World, bridge: Bridge, served: Served
     ) -> None:
-        silent = served.silent
-        if silent is None:
-            pytest.skip("the world has no service that is silent")
+        silent = supplied(served.silent, "the world has no service that is silent")
         limit = world.patience + _SHORT_SECONDS
         with pytest.raises(BridgeTimeoutError):
             Background(lambda: bridge.call(silent, served.request, timeout=_SHORT_SECONDS)).result(
@@ -393,9 +383,7 @@ class ServiceRules:
     def test_a_link_carries_messages_without_the_manager(
         self, world: World, bridge: Bridge
     ) -> None:
-        pair = world.linkable()
-        if pair is None:
-            pytest.skip("the world has nothing to link")
+        pair = supplied(world.linkable(), "the world has nothing to link")
         channel = bridge.link(pair.source, pair.sink)
         assert channel is not None
         channel.close()

@@ -435,6 +435,13 @@ def hold_idle_between(through: Line, bridge: Bridge) -> None:
     trickling.result(through.world.patience)
 
 
+def supplied(found: T | None, why_not: str) -> T:
+    """Return what a world supplies; where it does not, skip the test with the reason."""
+    if found is None:
+        pytest.skip(why_not)
+    return found
+
+
 def structure_of(bridge: Bridge, pair: Pair, *, incoming: bool) -> MessageStructure:
     """Return what the bridge says of one end of a pair.
 
