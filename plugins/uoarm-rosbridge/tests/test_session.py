@@ -50,6 +50,31 @@ def test_another_type_than_that_of_ros_is_reported(
     opened(robot, 1)
 
 
+@pytest.mark.parametrize(
+    ("op", "topic", "first"),
+    [
+        ("subscribe", "/uoarm/typed", {"type": "std_msgs/Int32"}),
+        ("advertise", "/uoarm/typed", {"type": "std_msgs/Int32"}),
+        ("subscribe", "/uoarm/numbers", {"type": "std_msgs/Int32"}),
+        ("subscribe", "/chatter", {}),
+        ("subscribe", "/chatter", {"type": "std_msgs/Int32"}),
+        ("advertise", "/chatter", {"type": "std_msgs/Int32"}),
+    ],
+)
+def test_another_type_is_reported_also_the_second_time(
+    enter: Enter, op: str, topic: str, first: dict[str, str]
+) -> None:
+    client, publisher = enter(), enter()
+    if topic == "/chatter":
+        publisher.send(op="advertise", topic=topic, type="std_msgs/Int32")
+        assert publisher.call("/rosapi/get_time")
+    client.send(op=op, id="1", topic=topic, **first)
+    text = client.refused(op=op, id="2", topic=topic, type="std_msgs/String")
+    assert "Int32', not 'std_msgs/String'" in text
+    client.send(op=op, id="3", topic=topic, type="std_msgs/msg/Int32")
+    assert client.call("/rosapi/get_time")
+
+
 def test_another_type_than_that_of_the_publisher_is_reported(enter: Enter) -> None:
     client, publisher = enter(), enter()
     publisher.send(op="advertise", topic="/chatter", type="std_msgs/msg/String")

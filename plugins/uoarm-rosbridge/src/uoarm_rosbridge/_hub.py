@@ -213,6 +213,12 @@ class Hub:
         topic = self._topics.get(name)
         return "" if topic is None else topic.type
 
+    def check_type(self, name: str, kind: str) -> None:
+        """Refuse another type than that of a topic's publishers; raises MessageError."""
+        topic = self._topics.get(name)
+        if topic is not None:
+            self._check_type(topic, kind)
+
     def unadvertise(self, name: str, publisher: object) -> None:
         """Take a publisher back."""
         topic = self._topics.get(name)

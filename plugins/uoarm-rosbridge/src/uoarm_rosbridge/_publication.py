@@ -24,12 +24,12 @@ from uoarm.server.front_end import (
 from uoarm.server.publication import InputPublication
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import NamedPort
-from uoarm_rosbridge._types import check_type, read_arguments
+from uoarm_rosbridge._types import TopicType, read_arguments
 
 
 def publish_into(
     place: NamedPort,
-    kind: str,
+    kind: TopicType,
     backend: Backend,
     client: Client,
     on_failed: Callable[[BaseException], None],
@@ -38,7 +38,7 @@ def publish_into(
 
     Args:
         place: the function and its input.
-        kind: the type that the client states; empty: none. Another than the input's is an error.
+        kind: the type that the client states. Another than the input's is an error.
         backend: where the function is opened.
         client: who publishes.
         on_failed: called with why it could not be opened, or that it ended.
@@ -51,7 +51,7 @@ def publish_into(
         port = place.port or (inputs[0] if len(inputs) == 1 else "")
         structure = provider.structures.get(f"input.{port}")
         if structure is not None:
-            check_type(f"topic {place.name!r}", kind, structure.native_type)
+            kind.find(structure.native_type)
 
     return InputPublication(
         place.name,

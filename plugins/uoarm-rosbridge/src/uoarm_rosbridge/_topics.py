@@ -31,7 +31,7 @@ from uoarm.server.publication import InputPublication
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Addresses, NamedPort, find_place
 from uoarm_rosbridge._publication import SharedPublication, publish_into
-from uoarm_rosbridge._types import check_type
+from uoarm_rosbridge._types import TopicType
 from uoarm_rosbridge._wire import (
     clock_now,
     fragment_size,
@@ -139,6 +139,7 @@ class RosbridgeSubscription(Subscription):
 
     Args:
         topic: as the client named it.
+        kind: of the topic's messages.
         options: of the first subscribe message.
         client: who listens.
         structure: says what the messages are like, for `cbor-raw`.
@@ -149,6 +150,7 @@ class RosbridgeSubscription(Subscription):
     def __init__(
         self,
         topic: str,
+        kind: TopicType,
         options: SubscribeOptions,
         client: Client,
         *,
@@ -156,6 +158,7 @@ class RosbridgeSubscription(Subscription):
         on_refused: Callable[[MessageError], None],
         on_end: Callable[[str, str], None],
     ) -> None:
+        self.kind = kind
         self.asked: dict[str, SubscribeOptions] = {}
         self._raw = RawWriter(topic, structure) if options.compression == _RAW else None
         write = _TEXTS.get(options.compression, write_publish_cbor)
@@ -214,11 +217,13 @@ class _Published:
 
     Attributes:
         publication: takes the messages.
+        kind: their type.
         is_latched: whether the last message is kept for those who come.
         advertised: the ids of the advertisements that were not taken back; None: without one.
     """
 
     publication: InputPublication | SharedPublication
+    kind: TopicType
     is_latched: bool
     advertised: set[str | None] = field(factory=set)
 
@@ -294,6 +299,8 @@ class Topics:
         stated = _identity(fields)
         identity = place.name if stated is None else stated
         subscription = self._subscriptions.get(place.name)
+        if subscription is not None:
+            self._check_type(place, subscription.kind, fields)
         if subscription is None:
             if len(self._subscriptions) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} topics are subscribed already")
@@ -332,23 +339,31 @@ class Topics:
         self._client.require(Operation.SEND, place.right)
         known = self._published.get(place.name)
         if known is not None:
+            self._check_type(place, known.kind, fields)
             return known
         if len(self._published) >= self._client.limits.streams:
             raise LimitError(f"{self._client.limits.streams} topics are published already")
         publication: InputPublication | SharedPublication
+        kind = TopicType(place.name, _type_in(fields))
         if place.function:
             if place.function not in self._backend.robot.config.functions:
                 raise UsageError(f"there is no function {place.function!r}")
             failed = partial(self._publication_failed, place, fields)
-            publication = publish_into(place, _type_in(fields), self._backend, self._client, failed)
+            publication = publish_into(place, kind, self._backend, self._client, failed)
         else:
             publication = SharedPublication(
                 place.name, _type_in(fields), self._hub, self._backend, self._client
             )
             self._hint(place, Role.INPUT, fields)
-        published = _Published(publication, fields.get("latch") is True)
+        published = _Published(publication, kind, fields.get("latch") is True)
         self._published[place.name] = published
         return published
+
+    def _check_type(self, place: NamedPort, kind: TopicType, fields: Fields) -> None:
+        """Refuse another type of what is open already; raises MessageError."""
+        kind.check(_type_in(fields))
+        if not place.function:
+            self._hub.check_type(place.name, _type_in(fields))
 
     def _hint(self, place: NamedPort, role: Role, fields: Fields) -> None:
         """Report to the client where a function is which it asks for by its own address."""
@@ -376,12 +391,12 @@ class Topics:
                 self._fail(fields, error)
 
         def check(feed: Feed) -> None:
-            structure = _structure_of(place, feed)
-            check_type(f"topic {place.name!r}", _type_in(fields), structure.native_type)
+            subscription.kind.find(_structure_of(place, feed).native_type)
             subscription.check_form()
 
         subscription = RosbridgeSubscription(
             place.name if fields["topic"].startswith("/") else fields["topic"],
+            TopicType(place.name, _type_in(fields)),
             options,
             self._client,
             structure=lambda: _structure_of(place, subscription.feed),

@@ -84,6 +84,31 @@ def is_same_type(one: str, other: str) -> bool:
     return bool(package) and same_kind and (package, name) == (package_2, name_2)
 
 
+class TopicType:
+    """The type of a topic of one client: as it stated it, and as it is once that is known.
+
+    Args:
+        name: of the topic.
+        stated: with the first message about it; empty: nothing.
+    """
+
+    def __init__(self, name: str, stated: str) -> None:
+        self._topic = f"topic {name!r}"
+        self._stated = stated
+        self._actual = ""
+
+    def find(self, actual: str) -> None:
+        """Take in what it is; raises MessageError as `check_type`."""
+        check_type(self._topic, self._stated, actual)
+        self._actual = actual
+
+    def check(self, kind: str) -> None:
+        """Refuse another type, stated later; raises MessageError."""
+        check_type(self._topic, kind, self._actual)
+        if kind and self._stated and not is_same_type(kind, self._stated):
+            raise MessageError(f"{self._topic} has the type {self._stated!r}, not {kind!r:.100}")
+
+
 def in_full(name: str, kind: str, ending: str = "") -> str:
     """Return the name of a type of ROS 2 as its packages have it; empty: it is none of this kind.
 
