@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
-from uoarm_foxglove._catalogue import VisibleListing
+from uoarm_foxglove._catalogue import (
+    NOTHING,
+    ChannelCatalogue,
+    ListingAnswer,
+    ListingQuestion,
+    VisibleListing,
+)
 from viewer import Serve, Viewer
 
 from uoarm import RobotManager
@@ -130,6 +137,62 @@ def test_changes_come_to_those_who_want_them(serve: Serve, robot: RobotManager) 
         while values(viewer, "/loose/level")["parameters"] != LOOSE:
             pass
         assert not [other for other in viewer.others if other["op"] == "parameterValues"]
+
+
+LEVEL_2 = CONFIGURATION.replace("level: 1", "level: 2")
+
+
+def test_what_changes_while_a_viewer_asks_for_it_is_sent(
+    serve: Serve, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, gate, answer = threading.Event(), threading.Event(), ChannelCatalogue.answer
+
+    async def late(catalogue: ChannelCatalogue, question: ListingQuestion) -> ListingAnswer:
+        made = await answer(catalogue, question)
+        if made.listing is not question.known and question.known is not NOTHING:
+            begun.set()
+            await asyncio.to_thread(gate.wait, patience())
+        return made
+
+    monkeypatch.setattr(ChannelCatalogue, "answer", late)
+    with Viewer(serve()) as viewer:
+        try:
+            assert values(viewer, "/loose/level")["parameters"] == LOOSE
+            robot.apply(loads(LEVEL_2))
+            assert begun.wait(patience())
+            viewer.send("subscribeParameterUpdates", parameterNames=["/loose/level"])
+            values(viewer)  # it has been subscribed by then
+        finally:
+            gate.set()
+        assert viewer.until("parameterValues")["parameters"] == [
+            {"name": "/loose/level", "value": 2}
+        ]
+
+
+def test_no_answer_is_older_than_a_change_that_was_sent(
+    serve: Serve, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, gate, made = threading.Event(), threading.Event(), VisibleListing.parameter_values
+
+    def parameter_values(self: VisibleListing, *arguments: Any, **more: Any) -> bytes:
+        written = made(self, *arguments, **more)
+        if more and not begun.is_set():
+            begun.set()
+            gate.wait(patience())
+        return written
+
+    with Viewer(serve()) as viewer:
+        viewer.send("subscribeParameterUpdates", parameterNames=["/loose/level"])
+        values(viewer)
+        monkeypatch.setattr(VisibleListing, "parameter_values", parameter_values)
+        try:
+            viewer.send("getParameters", parameterNames=["/loose/level"], id="x")
+            assert begun.wait(patience())
+            robot.apply(loads(LEVEL_2))
+            changed = viewer.until("parameterValues")
+        finally:
+            gate.set()
+        assert viewer.until("parameterValues") == {**changed, "id": "x"}
 
 
 def test_a_role_sees_those_of_the_functions_that_it_sees(serve: Serve, tmp_path: Path) -> None:

@@ -157,12 +157,19 @@ class FoxgloveSession:
             except UoarmError as error:  # the server closes, or is busy
                 _log.debug("a viewer is not shown what there is: %s", error)
             else:
+                frames = answer.frames
+                # Of those that were asked for meanwhile, too: from now on they are compared with
+                # this listing.
+                late = self._parameters - asked.names
+                values = answer.listing.parameters_after(self._listing, late)
+                if values is not None:
+                    frames = (*frames, values)
                 self._listing = answer.listing
                 self._handle_early()
                 # The viewer may have asked for the graph, or for no graph, meanwhile.
                 if asked.graph is not None and self._graph is asked.graph:
                     self._graph = answer.listing
-                for frame in answer.frames:
+                for frame in frames:
                     await self._client.outbox.room(len(frame))
                     self._client.outbox.reply(frame, text=True)
             with suppress(asyncio.TimeoutError):
@@ -363,15 +370,16 @@ class FoxgloveSession:
         reply.add_done_callback(lambda _: charge.release())
 
     async def _show_parameters(self, names: list[str], request: dict[str, str]) -> None:
-        listing = self._listing
-        try:
-            frame = await self._backend.in_worker(
-                lambda: listing.parameter_values(dict.fromkeys(names), **request)
-            )
-        except Exception as error:  # noqa: BLE001 - every message is answered
-            self._fail(error)
-            return
-        await self._client.outbox.room(len(frame))
+        listing: VisibleListing | None = None
+        while listing is not self._listing:  # or what has changed meanwhile would come before
+            listing = self._listing
+            made = functools.partial(listing.parameter_values, dict.fromkeys(names), **request)
+            try:
+                frame = await self._backend.in_worker(made)
+            except Exception as error:  # noqa: BLE001 - every message is answered
+                self._fail(error)
+                return
+            await self._client.outbox.room(len(frame))
         self._client.outbox.reply(frame, text=True)
 
     def _publish(self, message: PublishedFrame) -> None:
