@@ -742,6 +742,29 @@ def test_a_message_in_pieces_that_is_not_finished_in_time_is_let_go(serve: Serve
         eventually(lambda: server.held_octets < 10_000, "it was let go")
 
 
+@pytest.mark.parametrize(
+    ("numbers", "rest", "why"),
+    [
+        ([], "", "was not finished within"),
+        ([2, 3, 4, 5], "x" * 50_000, "more than 200,000 octets wait"),
+        ([1], "x", "piece 1 of 7 fits no message"),
+        ([2, 3, 4, 5, 6], "x", "JSON"),
+    ],
+)
+def test_a_call_in_pieces_that_is_refused_is_answered(
+    serve: Serve, numbers: list[int], rest: str, why: str
+) -> None:
+    seconds = 30 if numbers else 0.3 * slowness()
+    server = serve(Limits(message_seconds=seconds, message_bytes=100_000))
+    call = json.dumps({"op": "call_service", "id": "mine", "service": "/uoarm/add", "args": {}})
+    with Ros(url(server)) as client:
+        for number, data in [(0, call[:20]), (1, call[20:-1]), *((at, rest) for at in numbers)]:
+            client.send(op="fragment", id="f", data=data, num=number, total=7)
+        answer = client.receive()
+    assert (answer["op"], answer["id"], answer["result"]) == ("service_response", "mine", False)
+    assert why in answer["values"]
+
+
 def test_pieces_find_no_room_where_others_and_their_sender_have_too_much(serve: Serve) -> None:
     server = serve(Limits(message_bytes=200_000, total_memory_bytes=200_000))
     with Ros(url(server)) as client, Ros(url(server)) as other:

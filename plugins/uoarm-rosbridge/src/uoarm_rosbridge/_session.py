@@ -249,7 +249,7 @@ class RosbridgeSession:
 
     def decode(self, frame: str | bytes, spending: BudgetUse) -> tuple[Callable[[], None], int]:
         """Return what acts on one frame, now or later, and how much memory its message holds."""
-        fields: Mapping[str, Any] = {}
+        fields: dict[str, Any] = {}
         try:
             fields = read_operation(frame, spending)
             whole = self._collect(fields, spending) if fields.get("op") == "fragment" else fields
@@ -258,6 +258,8 @@ class RosbridgeSession:
                 text = f"a message of client {self._client.identity}"
                 self._records.write(logging.ERROR, text, error)
             # Of what is too much to be read, as of too many values, who calls waits for an answer.
+            if fields.get("op") == "fragment":
+                fields |= self._fragments.last
             fields = fields or first_fields(frame)
             return functools.partial(self._fail, fields, without_frames(error)), 0
         return functools.partial(self._handle, whole), message_octets(whole)
@@ -300,28 +302,26 @@ class RosbridgeSession:
             self._fail(fields or {}, error)
 
     def _count_fragments(self) -> None:
-        """Charge what is unfinished, and let it go where there is no room for it, or no end of it.
-
-        Raises:
-            BusyError: all clients together hold too much, and this one has its share.
-        """
+        """Charge what is unfinished; let it go where there is no room for it, or no end of it."""
         octets = self._fragments.octets
         grows = octets > self._fragments_held.octets
         self._fragments_held.resize(octets)
         if grows and not self._client.account.has_share:
-            self._fragments.clear()
+            error = BusyError("fragment: the server holds as much as it may for all clients")
+            for fields in self._fragments.clear():
+                self._fail(fields, error)
+            octets = 0
             self._fragments_held.resize(0)
-            raise BusyError("fragment: the server holds as much as it may for all clients")
         if octets and self._looking is None:
             seconds = self._client.limits.message_seconds
             self._looking = asyncio.get_running_loop().call_later(seconds, self._forget_late)
 
     def _forget_late(self) -> None:
         self._looking = None
-        for name in self._fragments.forget_late():
-            seconds = self._client.limits.message_seconds
+        seconds = self._client.limits.message_seconds
+        for name, fields in self._fragments.forget_late().items():
             text = f"fragment: message {name!r:.200} was not finished within {seconds:g} s"
-            self._fail({}, ControlMessageError(text))
+            self._fail(fields, ControlMessageError(text))
         self._count_fragments()
 
     def _act(self, fields: Mapping[str, Any]) -> None:

@@ -34,6 +34,7 @@ _MAX_TEXT = 1024
 _MAX_NUMBER = 2**63
 _NANOSECONDS = 1_000_000_000
 _FIRST = 16  # fields that are looked at in what cannot be read
+_HEAD = 16_384  # characters in which these are
 _FIELD = re.compile(
     r'\s*[{,]\s*"(\w{1,40})"\s*:\s*("[^"\\\x00-\x1f]{0,1024}"|0|[1-9]\d{0,14})(?=\s*[,}])'
 )
@@ -186,30 +187,29 @@ class Fragments:
 
     Attributes:
         octets: that they take.
+        last: the first fields of the message that `add` completed or forgot.
     """
 
     def __init__(self, most: int, seconds: float) -> None:
         self.octets = 0
+        self.last: Mapping[str, Any] = {}
         self._most = most
         self._seconds = seconds
         self._messages: dict[str, _Message] = {}
         # Pieces come in the thread that decodes long frames; what is late is let go in the loop.
         self._lock = threading.Lock()
 
-    def forget_late(self) -> list[str]:
-        """Forget what was not finished in time; returns which messages these were."""
+    def forget_late(self) -> dict[str, Mapping[str, Any]]:
+        """Forget what was not finished in time; returns the first fields of each message."""
         with self._lock:
             due = time.monotonic() - self._seconds
             late = [name for name, message in self._messages.items() if message.begun <= due]
-            for name in late:
-                self._forget(name)
-            return late
+            return {name: self._forget(name) for name in late}
 
-    def clear(self) -> None:
-        """Forget all."""
+    def clear(self) -> list[Mapping[str, Any]]:
+        """Forget all; returns the first fields of each."""
         with self._lock:
-            self._messages.clear()
-            self.octets = 0
+            return [self._forget(name) for name in tuple(self._messages)]
 
     def add(self, fields: Mapping[str, Any]) -> str | None:
         """Take one piece; returns the whole text with the last one.
@@ -218,6 +218,7 @@ class Fragments:
             ControlMessageError: it fits no message, or too much is unfinished; what its message
                 had until then is forgotten.
         """
+        self.last = {}
         identity, data = str(fields["id"]), fields["data"]
         number, total = fields["num"], fields["total"]
         if not isinstance(data, str):
@@ -231,26 +232,31 @@ class Fragments:
         message = self._messages.get(identity)
         if message is None:
             if len(self._messages) >= _UNFINISHED:
-                self._forget(next(iter(self._messages)))
+                self.last = self._forget(next(iter(self._messages)))
                 raise ControlMessageError(f"fragment: {_UNFINISHED} messages are unfinished")
             message = self._messages[identity] = _Message(total, time.monotonic())
         if message.total != total or number in message.pieces:
-            self._forget(identity)
+            self.last = self._forget(identity)
             raise ControlMessageError(f"fragment: piece {number} of {total} fits no message")
         message.pieces[number] = data
         octets = getsizeof(data) + _PLACE
         message.octets += octets
         self.octets += octets
         if self.octets > self._most:
-            self._forget(identity)
+            self.last = self._forget(identity)
             raise ControlMessageError(f"fragment: more than {self._most:,} octets wait")
         if len(message.pieces) < total:
             return None
-        self._forget(identity)
+        self.last = self._forget(identity)
         return "".join(message.pieces[place] for place in range(total))
 
-    def _forget(self, identity: str) -> None:
-        self.octets -= self._messages.pop(identity).octets
+    def _forget(self, identity: str) -> dict[str, Any]:
+        message = self._messages.pop(identity)
+        self.octets -= message.octets
+        head, place = "", 0
+        while len(head) < _HEAD and place in message.pieces:
+            head, place = head + message.pieces[place], place + 1
+        return first_fields(head)
 
 
 def fragment_size(fields: Mapping[str, Any]) -> int:
