@@ -55,6 +55,31 @@ test("what a drop took is counted as the session goes on, and at the end", async
   robot.close();
 });
 
+test("a network that goes without a word is noticed", async (context) => {
+  context.mock.timers.enable({ apis: ["setInterval"] });
+  const connecting = connect("ws://x/", { WebSocket: Socket });
+  const first = Socket.made.at(-1);
+  first.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  first.deliver({ op: "Reply", id: "keep", jsonMessage: { key: "key", seconds: 5 } });
+  for (let look = 0; look < 20; look += 1) {
+    context.mock.timers.tick(5000);
+    assert.deepEqual(first.sent.at(-1), { op: "Kill", type: "alive", id: "alive" });
+    first.deliver({ op: "Error", id: "alive", jsonMessage: { code: "unknown", text: "no such connection" } });
+  }
+  assert.equal(Socket.made.at(-1), first);
+  const asked = robot.call("add", 1);
+  context.mock.timers.tick(35000);
+  assert(first.closed);
+  const second = Socket.made.at(-1);
+  second.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  assert.deepEqual(second.sent[0].jsonMessage, { key: "key", waiting: ["1"] });
+  second.deliver(RESUMED);
+  second.deliver({ op: "Reply", id: "1", jsonMessage: 3 });
+  assert.equal(await asked, 3);
+  robot.close();
+});
+
 test("why a connection ended has no empty reason", async () => {
   const connecting = connect("ws://x/", { WebSocket: Socket, resume: false, reconnect: 0 });
   const socket = Socket.made.at(-1);

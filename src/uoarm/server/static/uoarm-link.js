@@ -4,6 +4,9 @@
 const DROPPED = 1006;
 const KEEP = "keep";
 const RESUME = "resume";
+const ALIVE = "alive";
+const LOOK = 5000;
+const MOST_SILENCE = 6; // looks without a message, after which the connection is given up
 const MOST_WAITING = 4096;
 const LONGEST_KEPT = 3600; // seconds for which a server is believed to keep a session
 const FIRST_PAUSE = 50;
@@ -117,6 +120,8 @@ export class Link {
   #seconds = 0;
   #over = false;
   #wake = () => {};
+  #timer = null;
+  #silence = 0; // looks since something came
   resumed = 0;
   restarts = 0;
   trouble = "";  // why the connection ended, and is not there again yet
@@ -142,10 +147,38 @@ export class Link {
   }
 
   #greet(socket, received, greeted) {
-    this.#socket = socket;
+    this.#begin(socket);
     this.#take(received);
     if (this.#resume) this.#write(socket, { op: "Resume", id: KEEP, "x-sent": seconds() });
     greeted();
+  }
+
+  #begin(socket) {
+    this.#socket = socket;
+    this.#silence = 0;
+    clearInterval(this.#timer);
+    this.#timer = setInterval(() => this.#look(), LOOK);
+    this.#timer.unref?.(); // in Node.js: it keeps no program running
+  }
+
+  /** A network may go without a word: where nothing comes, something is asked that has an answer. */
+  #look() {
+    const socket = this.#socket;
+    if (!socket || this.#over) return;
+    this.#silence += 1;
+    if (this.#silence <= MOST_SILENCE) {
+      this.#write(socket, { op: "Kill", type: ALIVE, id: ALIVE }); // refused: there is no such connection
+      return;
+    }
+    this.#leave(socket);
+    this.#closed({ code: DROPPED, reason: `nothing came for ${(MOST_SILENCE * LOOK) / 1000} s` });
+  }
+
+  /** Take nothing more of a socket. */
+  #leave(socket) {
+    socket.onmessage = socket.onclose = null;
+    this.#socket = null;
+    socket.close();
   }
 
   /** Send one message that will be answered, at once or when the connection is renewed. */
@@ -163,6 +196,7 @@ export class Link {
 
   close() {
     this.#over = true;
+    clearInterval(this.#timer);
     this.#wake();
     (this.#socket ?? this.#trying)?.close();
   }
@@ -198,15 +232,14 @@ export class Link {
         } else if (state !== "failed") this.#receive(received);
       };
       socket.onmessage = ({ data }) => {
+        this.#silence = 0;
         try {
           receive(checked(this.#form.read(data), "object", "a message"));
         } catch (error) {
           const strange = new UoarmError("unreadable", `${this.#place} sent what is no message: ${error.message}`);
           if (state !== "greeted") fail(strange);
           else {
-            socket.onmessage = socket.onclose = null;
-            this.#socket = null;
-            socket.close();
+            this.#leave(socket);
             this.#end(strange);
           }
         }
@@ -279,7 +312,7 @@ export class Link {
         this.#write(socket, { op: "Resume", id: RESUME, "x-sent": seconds(), jsonMessage });
         return;
       }
-      this.#socket = socket;
+      this.#begin(socket);
       this.resumed += 1;
       this.#wentOn(checked(received.jsonMessage, SHAPES.resumed, "Reply to Resume").own);
       greeted();
@@ -300,6 +333,7 @@ export class Link {
   }
 
   #receive(received) {
+    if (received.id === ALIVE) return;
     if (received.id !== KEEP) {
       this.#unanswered.delete(received.id);
       this.#take(received);
@@ -315,6 +349,7 @@ export class Link {
 
   #end(error) {
     this.#over = true;
+    clearInterval(this.#timer);
     this.#ended(error);
   }
 }
