@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -179,6 +180,17 @@ def test_closing_closes_channels_first_and_only_once() -> None:
     assert bridge.closed_links == ["closed"]
     with pytest.raises(BridgeError, match="is closed"):
         bridge.describe(ENDPOINT)
+
+
+@pytest.mark.parametrize("first", ["bridge", "channel"])
+def test_a_close_of_a_bridge_from_within_does_not_wait_for_itself(first: str) -> None:
+    bridge = Puppet()
+    again = partial(bridge.close, timeout=threading.TIMEOUT_MAX)
+    bridge.closing = again
+    channel = bridge.open_source(ENDPOINT, ANY, lambda _: None)
+    bridge.step = again
+    (bridge if first == "bridge" else channel).close(timeout=patience())
+    assert bridge.open_channels == 0
 
 
 def test_a_close_that_fails_still_counts_as_closed() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import threading
 import time
@@ -12,11 +11,11 @@ from functools import partial
 from typing import TypeVar, final
 
 from uoarm._forks import generation
-from uoarm._raised import LimitedLog, foreign
+from uoarm._raised import foreign
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import Delivery, Gate, translated
-from uoarm.bridge._channel import Channel, Sink, Source
+from uoarm.bridge._channel import Channel, Sink, Source, put_away
 from uoarm.bridge._options import DeclaredOptions
 from uoarm.bridge._services import CallsUnderWay, CallUnderWay
 from uoarm.bridge._steps import (
@@ -47,7 +46,6 @@ CONTRACT_VERSION = 2
 T = TypeVar("T")
 C = TypeVar("C", bound=Channel)
 _GRACE_SECONDS = 0.25
-_log = logging.getLogger("uoarm")
 
 
 class Bridge(BridgeSteps):
@@ -88,6 +86,7 @@ class Bridge(BridgeSteps):
         # Those that are being closed included: their stops need the framework.
         self._open: set[Channel] = set()
         self._is_closed = self._is_over = False
+        self._closer: int | None = None  # the thread in which the framework is let go of
         self._process = generation()
         self._listener: Callable[[HealthEvent], None] | None = None
         # What was said last of the whole bridge before anything listened: a thread that it began
@@ -329,7 +328,7 @@ class Bridge(BridgeSteps):
         if not self.capabilities.link:
             return None
         step = f"linking {source} to {sink}"
-        channel = self._step(step, timeout, lambda: self._link(source, sink), on_late=_put_away)
+        channel = self._step(step, timeout, lambda: self._link(source, sink), on_late=put_away)
         return None if channel is None else self._adopt(Channel, "_link", channel)
 
     @final
@@ -366,7 +365,8 @@ class Bridge(BridgeSteps):
     def close(self, *, timeout: float = 5.0) -> None:
         """Close every channel, then the bridge. Idempotent; does nothing in a forked child.
 
-        Waits for what another thread is closing, no longer than that one does, nor `timeout`.
+        Waits for what another thread is closing, no longer than that one does, nor `timeout`; from
+        within what it closes it does not wait for that.
 
         Raises:
             BridgeError: something failed while closing; the rest was closed all the same.
@@ -375,8 +375,9 @@ class Bridge(BridgeSteps):
             return  # in a child that was forked: it is its parent's
         with self._channels_changed:
             if self._is_closed:
-                # The process may end after this: no stop must be on its way then.
-                self._wait_for(lambda: self._is_over, timeout)
+                if self._closer != threading.get_ident() and self._closed_elsewhere() == self._open:
+                    # The process may end after this: no stop must be on its way then.
+                    self._wait_for(lambda: self._is_over, timeout)
                 return
             self._is_closed = True
         try:
@@ -406,13 +407,24 @@ class Bridge(BridgeSteps):
             except BridgeError as error:
                 failures.append(error)
         with self._channels_changed:  # until the others that were being closed are
-            until = max((channel._closes_until for channel in self._open), default=0.0)  # noqa: SLF001 - its one owner
-            self._wait_for(lambda: not self._open, min(timeout, until - time.monotonic()))
+            others = self._closed_elsewhere()
+            until = max((channel._closes_until for channel in others), default=0.0)  # noqa: SLF001 - its one owner
+            limit = min(timeout, until - time.monotonic())
+            self._wait_for(lambda: others.isdisjoint(self._open), limit)
         step = f"bridge {self.name!r}: closing"
         with translated(step):
-            deadlines.run(step, timeout, self._close)
+            deadlines.run(step, timeout, self._close_native)
         if failures:
             raise failures[0]
+
+    def _close_native(self) -> None:
+        self._closer = threading.get_ident()
+        self._close()
+
+    def _closed_elsewhere(self) -> set[Channel]:
+        """Return the channels that are not being closed by this thread."""
+        this = threading.get_ident()
+        return {channel for channel in self._open if channel._closer != this}  # noqa: SLF001 - its one owner
 
     @final
     def report_channel(self, channel: Channel, health: Health, cause: str) -> None:
@@ -515,8 +527,8 @@ class Bridge(BridgeSteps):
             with translated(self._begun(what)):
                 channel = action()
         else:
-            put_away = partial(_put_away, on_late=on_late, gate=gate)
-            channel = self._step(what, timeout, action, on_late=put_away)
+            ends_late = partial(put_away, on_late=on_late, gate=gate)
+            channel = self._step(what, timeout, action, on_late=ends_late)
         return self._adopt(kind, what, channel, on_late, gate, is_quick=is_quick)
 
     def _adopt(
@@ -538,7 +550,7 @@ class Bridge(BridgeSteps):
                 self._open.add(channel)
                 channel._when_closed = self._forget  # noqa: SLF001 - a channel's one owner
         if not keep:
-            _put_away(channel, on_late)
+            put_away(channel, on_late)
             raise BridgeError(f"bridge {self.name!r} was closed: {what}", FailureReason.CLOSED)
         return channel
 
@@ -577,22 +589,3 @@ class Bridge(BridgeSteps):
             f"{type(got).__name__}, expected {expected}"
         )
         return BridgeError(text, FailureReason.CONTRACT)
-
-
-def _put_away(
-    channel: Channel | None,
-    on_late: Callable[[Channel], object] | None = None,
-    gate: Gate | None = None,
-) -> None:
-    """Close a channel that is not waited for any more, then report it."""
-    if not isinstance(channel, Channel):
-        return
-    if gate is not None:
-        channel._gate = gate  # noqa: SLF001 - its one owner
-    try:
-        channel.close()
-    except BridgeError as error:
-        text = "a channel that came too late could not be closed"
-        LimitedLog(_log).write(logging.WARNING, text, error)
-    if on_late is not None:
-        on_late(channel)

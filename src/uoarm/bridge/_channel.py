@@ -5,6 +5,7 @@ A `ReceiveQueue` stands between a framework's thread and one of the channel: bou
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
@@ -13,6 +14,7 @@ from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar, final
 
 from uoarm._forks import generation
+from uoarm._raised import LimitedLog
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import Gate, translated
@@ -26,6 +28,7 @@ were wrong themselves, and the text of the last failure."""
 
 _CLOSE_SECONDS = 5.0
 _LAST_SECONDS = 0.5
+_log = logging.getLogger("uoarm")
 
 
 class Channel:
@@ -48,6 +51,7 @@ class Channel:
         self._closing = threading.Lock()
         self._closed = False
         self._closes_until = 0.0  # when a close that is under way is given up
+        self._closer: int | None = None  # the thread that lets go of the link
         self._process = generation()
         self._let_go = False
         self._when_closed: Callable[[Channel], None] | None = None
@@ -101,6 +105,7 @@ class Channel:
         return getattr(type(self), step) is not getattr(base, step)
 
     def _close_native(self) -> None:
+        self._closer = threading.get_ident()
         try:
             self._before_close()
             self._close()
@@ -347,6 +352,25 @@ class Sink(Channel):
         """
         assert self._send_given is not None, "the constructor saw to that"
         self._send_given(message)
+
+
+def put_away(
+    channel: Channel | None,
+    on_late: Callable[[Channel], object] | None = None,
+    gate: Gate | None = None,
+) -> None:
+    """Close a channel that is not waited for any more, then report it."""
+    if not isinstance(channel, Channel):
+        return
+    if gate is not None:
+        channel._gate = gate  # noqa: SLF001 - one of these
+    try:
+        channel.close()
+    except BridgeError as error:
+        text = "a channel that came too late could not be closed"
+        LimitedLog(_log).write(logging.WARNING, text, error)
+    if on_late is not None:
+        on_late(channel)
 
 
 T = TypeVar("T")
