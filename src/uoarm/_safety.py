@@ -104,10 +104,14 @@ class _Call:
         self.is_cancelled = False
         self._bridge = bridge
 
+    def cancel(self) -> bool:
+        """Cancel it; say whether the framework could be notified."""
+        return self._bridge.cancel_call(self._number)
+
     def hold(self, timeout: float) -> CommandStatus | str:
         """Cancel it, and wait for its end; say what came of it."""
         self.is_cancelled = True
-        is_reported = self._bridge.cancel_call(self._number)
+        is_reported = self.cancel()
         if self.ended.wait(timeout):
             return CommandStatus(CommandPhase.STOPPED, since=0.0, held=True)
         if is_reported:
@@ -218,14 +222,15 @@ class EmergencyStop:
             call.ended.set()
 
     def begin_close(self) -> None:
-        """Have every input of this process stopped, and take no more; waits for nothing.
+        """Have every input stopped, and take no more, and calls cancelled; waits for nothing.
 
         Before what they belong to is closed, one after another: no stop waits for what hangs.
         """
         with self._lock:
-            sinks = self._open_sinks()
+            sinks, calls = self._open_sinks(), tuple(self._calls)
         for sink, _ in sinks:
             sink.begin_close()
+        _each(_Call.cancel, calls, {}, 0.0)
 
     def stop(self, timeout: float) -> StopReport:
         """Stop everything; say what came of it. Blocks for `timeout` seconds at most."""
@@ -347,7 +352,7 @@ class EmergencyStop:
 
 
 def _each(
-    act: Callable[[T], None],
+    act: Callable[[T], object],
     moving: Iterable[T],
     results: dict[T, _Answer],
     timeout: float,

@@ -40,6 +40,7 @@ from uoarm.model import (
     Message,
     MessageStructure,
     Role,
+    StopMessage,
 )
 from uoarm.testing import Background, Collector, lying, patience, wait
 
@@ -634,6 +635,36 @@ def test_a_bridge_that_is_closed_cancels_all_calls_under_way() -> None:
         with pytest.raises(BridgeError, match=r"cancelling calls.*native trouble"):
             bridge.close()
         assert [call.result(patience()) for call in calls] == ["ended early"] * 2
+
+
+def test_no_stop_waits_for_a_call_that_is_being_cancelled() -> None:
+    stop = StopMessage({"v": 0.0})
+    moving = Endpoint("b", "base", Role.INPUT, ("x",), command=CommandPolicy(None, stop))
+    bridge, is_stopped, is_waiting = Prompt(), threading.Event(), threading.Event()
+
+    def take(message: Message) -> None:
+        if message == stop.message:
+            is_stopped.set()
+
+    bridge.step = lambda: Sink(moving, take, lambda: None)
+    bridge.open_sink(moving, ANY).send({"v": 0.5})
+
+    def cancel() -> None:
+        assert is_stopped.wait(patience())
+
+    def wait_for_the_stop() -> str:
+        with bridge.cancelling(cancel):
+            is_waiting.set()
+            assert is_stopped.wait(2 * patience())
+        return "ended early"
+
+    bridge.step = wait_for_the_stop
+    endpoint = Endpoint("b", "prompt", Role.SERVICE, ("x",))
+    call = Background(lambda: bridge.call(endpoint, "request"))
+    assert is_waiting.wait(patience())
+    bridge.step = lambda: None
+    bridge.close(timeout=2 * patience())
+    assert call.result() == "ended early"
 
 
 class Quick(Puppet):

@@ -117,6 +117,25 @@ def test_a_call_under_way_is_cancelled_and_the_next_is_refused(
     wait(lambda: arms.cancelled == ["arm", "hand"], "what was not in time is not cancelled")
 
 
+def test_a_manager_that_is_closed_cancels_calls_before_it_closes_anything(
+    arms: Arms, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What hangs as it is closed, such as another bridge, holds up no cancelling."""
+    robot = RobotManager(loads(ROBOT), registry=Registry(()), bridges={"arms": arms})
+    unobserve = robot._unobserve
+
+    def look() -> None:
+        wait(lambda: arms.cancelled == ["arm"])
+        unobserve()
+
+    monkeypatch.setattr(robot, "_unobserve", look)
+    call = Background(lambda: robot.call("reach", 1.0, timeout=2 * patience()))
+    assert arms.called["arm"].wait(patience())
+    robot.close()
+    with pytest.raises(BridgeError, match="it was cancelled"):
+        call.result()
+
+
 def test_what_cannot_be_cancelled_is_reported_as_not_stopped(
     robot: RobotManager, arms: Arms, monkeypatch: pytest.MonkeyPatch
 ) -> None:

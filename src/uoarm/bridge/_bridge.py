@@ -390,6 +390,10 @@ class Bridge(BridgeSteps):
 
     def _close_all(self, timeout: float) -> None:
         failures: list[BridgeError] = []
+        channels = tuple(self._open)
+        for channel in channels:
+            if isinstance(channel, Sink):
+                channel.begin_close()
         if len(self._pending_calls):
             step = f"bridge {self.name!r}: cancelling calls"
             try:
@@ -397,10 +401,6 @@ class Bridge(BridgeSteps):
                     deadlines.run(step, timeout, self._pending_calls.cancel_all)
             except BridgeError as error:
                 failures.append(error)
-        channels = tuple(self._open)
-        for channel in channels:
-            if isinstance(channel, Sink):
-                channel.begin_close()
         for channel in channels:
             try:
                 channel.close(timeout=timeout)
