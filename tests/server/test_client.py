@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.processes import signal_beside
+from tests.processes import ForkedProgram, signal_beside
 from tests.server.conftest import Serve
 from tests.server.robot import END, script
 from typing_extensions import assert_type
@@ -460,6 +460,32 @@ async def test_a_server_that_closes_at_once_has_ended(monkeypatch: pytest.Monkey
         async with connect(url) as client:
             with pytest.raises(ConnectionClosedError, match="go away"):
                 await client.functions()
+
+
+FORKED = """
+import asyncio, sys
+from uoarm.client import connect
+
+connecting = connect(sys.argv[1])
+asyncio.new_event_loop().run_until_complete(connecting.__aenter__())
+"""
+
+
+async def test_a_child_that_is_forked_holds_no_connection() -> None:
+    ended = asyncio.Event()
+
+    async def wait_for_end(connection: ServerConnection) -> None:
+        await connection.wait_closed()
+        ended.set()
+
+    protocols = [Subprotocol("uoarm.v1.cbor")]
+    options: dict[str, Any] = {"subprotocols": protocols, "ping_interval": None}
+    async with serve(wait_for_end, "127.0.0.1", 0, **options) as server:
+        url = f"ws://127.0.0.1:{next(iter(server.sockets)).getsockname()[1]}/"
+        with ForkedProgram(FORKED, url) as forked:
+            assert await asyncio.to_thread(forked.read) == "forked"
+            forked.kill_parent()
+            await asyncio.wait_for(ended.wait(), patience())
 
 
 @pytest.mark.parametrize(

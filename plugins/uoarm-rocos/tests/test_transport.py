@@ -202,13 +202,29 @@ transport.open(60)
 """
 
 
-def test_a_child_that_is_forked_holds_no_line_of_its_parent() -> None:
+@pytest.mark.parametrize("scheme", ["tcp", "socket"])
+def test_a_child_that_is_forked_holds_no_line_of_its_parent(scheme: str) -> None:
     """A device that serves one at a time serves the next."""
     with socket.create_server(("127.0.0.1", 0)) as device:
-        address = f"tcp://127.0.0.1:{device.getsockname()[1]}"
+        address = f"{scheme}://127.0.0.1:{device.getsockname()[1]}"
         with ForkedProgram(FORKED, address) as forked:
             assert forked.read() == "forked"
             with device.accept()[0] as line:
+                line.setblocking(False)
+                with pytest.raises(BlockingIOError):
+                    line.recv(1)  # the child ended nothing of its parent's
                 forked.kill_parent()
                 line.settimeout(LIMIT)
                 assert line.recv(1) == b""
+
+
+def test_a_child_that_is_forked_holds_no_port_of_its_parent() -> None:
+    """A port belongs to who opened it, until that ends."""
+    with PseudoTerminal() as device, ForkedProgram(FORKED, device.path) as forked:
+        assert forked.read() == "forked"
+        port = transport_for(device.path, LineOptions())()
+        with pytest.raises(LineError, match="lock"):
+            port.open(LIMIT)
+        forked.kill_parent()
+        port.open(LIMIT)
+        port.close()

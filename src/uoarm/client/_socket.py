@@ -26,7 +26,7 @@ from websockets.protocol import Event, State
 from websockets.typing import Subprotocol
 
 from uoarm._wire import Form
-from uoarm.bridge import redirection
+from uoarm.bridge import close_in_children, redirection
 
 if TYPE_CHECKING:
     from websockets.typing import BytesLike  # not in the oldest version
@@ -219,6 +219,7 @@ class ClientSocket(ClientConnection):
         if self._near is None and transport.get_extra_info("sslcontext") is None:
             self._near = transport.get_extra_info("socket").dup()
             self._near.setblocking(False)
+            close_in_children(self._near)
         return self._near
 
     async def keepalive(self) -> None:
@@ -246,6 +247,16 @@ class ClientSocket(ClientConnection):
     def silent_at(self) -> float:
         """When the peer counts as silent, in seconds of the loop, unless something comes."""
         return self._came_at + (self.ping_interval or 0.0) + (self.ping_timeout or 0.0)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin; see `asyncio.BaseProtocol`.
+
+        In a child that held the socket it would not be reset by `drop`, nor end with its parent.
+        """
+        near = getattr(transport.get_extra_info("socket"), "_sock", None)  # none of other loops
+        if near is not None:
+            close_in_children(near)
+        super().connection_made(transport)
 
     def data_received(self, data: bytes) -> None:
         """Take what arrived; see `asyncio.Protocol`."""

@@ -171,7 +171,7 @@ class SerialTransport(LineTransport):
     def _opened(self, parity: str) -> serial.Serial:
         options = self._options
         try:
-            return serial.serial_for_url(
+            port = serial.serial_for_url(
                 self._url,
                 baudrate=options.baud,
                 bytesize=options.bits,
@@ -184,6 +184,9 @@ class SerialTransport(LineTransport):
             )
         except _FAILURES as error:
             raise _line_error(self._url, error) from error
+        # Of a port elsewhere the socket: to close such a port would end it for the parent, too.
+        close_in_children(getattr(port, "_socket", None) or port)
+        return port
 
     def read(self) -> bytes:
         """Return what has arrived."""
