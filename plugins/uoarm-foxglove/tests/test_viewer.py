@@ -390,8 +390,13 @@ def test_one_that_is_wrong_costs_none_of_those_beside_it(serve: Serve) -> None:
         wrong = [{"id": number, "channelId": 4_000_000} for number in range(10, 20)]
         viewer.send("subscribe", subscriptions=[*wrong, {"id": 4, "channelId": known}])
         texts = [viewer.until("status")["message"] for _ in range(4)]
-        refused = "channelId: there is no 4000000 (UOA-502)"
-        assert texts == [refused] * 3 + ["and 7 more are refused (UOA-502)"]
+        assert texts == [
+            *(
+                f"subscribe: subscriptions.{place}: channelId: there is no 4000000 (UOA-502)"
+                for place in range(3)
+            ),
+            "and 7 more are refused (UOA-502)",
+        ]
         wait(lambda: numbers_script.started, "nothing plays", patience())
         numbers_script.put({"data": 3})
         assert viewer.until(1)["subscription"] == 4
@@ -402,10 +407,15 @@ def test_one_that_is_wrong_costs_none_of_those_beside_it(serve: Serve) -> None:
         )
         assert "there is no such input" in viewer.until("status")["message"]
         viewer.send("unadvertise", channelIds=[1, 2])
-        assert viewer.until("status")["message"] == "channelIds: there is no 1 (UOA-502)"
+        refused = "unadvertise: channelIds.0: id: there is no 1 (UOA-502)"
+        assert viewer.until("status")["message"] == refused
         viewer.send("unadvertise", channelIds=[2])
-        assert viewer.until("status")["message"] == "channelIds: there is no 2 (UOA-502)"
+        assert viewer.until("status")["message"] == refused.replace("no 1", "no 2")
         viewer.send("unsubscribe", subscriptionIds=[10, 4])
-        assert viewer.until("status")["message"] == "subscriptionIds: there is no 10 (UOA-502)"
+        assert viewer.until("status")["message"] == (
+            "unsubscribe: subscriptionIds.0: id: there is no 10 (UOA-502)"
+        )
         viewer.send("unsubscribe", subscriptionIds=[4])
-        assert viewer.until("status")["message"] == "subscriptionIds: there is no 4 (UOA-502)"
+        assert viewer.until("status")["message"] == (
+            "unsubscribe: subscriptionIds.0: id: there is no 4 (UOA-502)"
+        )

@@ -226,13 +226,13 @@ class FoxgloveSession:
             number = number_of(asked, "id")
             channel = self._listing.channels[number_of(asked, "channelId", self._listing.channels)]
             if number in self._subscriptions:
-                raise ControlMessageError(f"subscribe: id: {number} is in use")
+                raise ControlMessageError(f"id: {number} is in use")
             if len(self._subscriptions) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} channels are subscribed already")
             self._client.require(Operation.REQUEST, channel.function)
             self._subscriptions[number] = self._subscription(number, channel)
 
-        self._for_each(list_of(fields, "subscriptions", dict), subscribe)
+        self._for_each(fields, "subscriptions", dict, subscribe)
 
     def _subscription(self, number: int, channel: OutputChannel) -> Subscription:
         """Return a subscription; viewers of one channel share all but the head of a frame."""
@@ -266,10 +266,10 @@ class FoxgloveSession:
 
     def _unsubscribe(self, fields: Fields) -> None:
         def unsubscribe(asked: int) -> None:
-            number = number_of(asked, "subscriptionIds", self._subscriptions)
+            number = number_of(asked, "id", self._subscriptions)
             self._subscriptions.pop(number).close()
 
-        self._for_each(list_of(fields, "subscriptionIds", int), unsubscribe)
+        self._for_each(fields, "subscriptionIds", int, unsubscribe)
 
     def _advertise(self, fields: Fields) -> None:
         def advertise(asked: Fields) -> None:
@@ -282,11 +282,9 @@ class FoxgloveSession:
                 parent = f"/{name.lstrip('/').partition('/')[0]}"
                 called = "topics to publish to are called /FUNCTION, or /FUNCTION/INPUT of several"
                 to_do = f"did you mean {parent!r}?" if parent in self._listing.inputs else called
-                raise ControlMessageError(
-                    f"advertise: {name[:_SHOWN]}: there is no such input; {to_do}"
-                )
+                raise ControlMessageError(f"{name[:_SHOWN]}: there is no such input; {to_do}")
             if number in self._publications:
-                raise ControlMessageError(f"advertise: id: {number} is in use")
+                raise ControlMessageError(f"id: {number} is in use")
             if len(self._publications) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} channels are advertised already")
             self._client.require(Operation.SEND, topic.function)
@@ -302,7 +300,7 @@ class FoxgloveSession:
             )
             self._publications[number] = publication
 
-        self._for_each(list_of(fields, "channels", dict), advertise)
+        self._for_each(fields, "channels", dict, advertise)
 
     def _publication_ended(
         self, number: int, publication: InputPublication, error: BaseException
@@ -314,20 +312,24 @@ class FoxgloveSession:
 
     def _unadvertise(self, fields: Fields) -> None:
         def unadvertise(asked: int) -> None:
-            self._publications.pop(number_of(asked, "channelIds", self._publications)).close()
+            self._publications.pop(number_of(asked, "id", self._publications)).close()
 
-        self._for_each(list_of(fields, "channelIds", int), unadvertise)
+        self._for_each(fields, "channelIds", int, unadvertise)
 
-    def _for_each(self, items: list[T], act: Callable[[T], None]) -> None:
-        """Act on each item: one that is wrong costs itself only. The first errors are reported."""
+    def _for_each(self, fields: Fields, name: str, kind: type[T], act: Callable[[T], None]) -> None:
+        """Act on each item of a list: one that is wrong costs itself only.
+
+        The first errors are reported, each with its place.
+        """
         errors = 0
-        for item in items:
+        for number, item in enumerate(list_of(fields, name, kind)):
             try:
                 act(item)
             except Exception as error:  # noqa: BLE001 - every item that is wrong is answered
                 errors += 1
                 if errors <= _MOST_ERRORS:
-                    self._fail(error)
+                    place = f"{fields['op']}: {name}.{number}"
+                    self._status(StatusLevel.ERROR, f"{place}: {coded_text(error)}", "")
         if errors > _MOST_ERRORS:
             self._fail(ControlMessageError(f"and {errors - _MOST_ERRORS} more are refused"))
 
