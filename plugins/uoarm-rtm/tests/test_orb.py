@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import subprocess
 import sys
 import threading
@@ -12,6 +13,7 @@ from typing import Any
 import omniORB
 import pytest
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
+from tests.processes import ForkedProgram  # type: ignore[import-not-found]
 from uoarm_rtm import _orb
 from uoarm_rtm._orb import Orb, deliveries
 
@@ -161,3 +163,22 @@ def _count_sockets() -> int:
         with contextlib.suppress(OSError):  # that of the listing itself
             count += str(descriptor.readlink()).startswith("socket:")
     return count
+
+
+FORKED = """
+from uoarm_rtm._orb import Orb
+
+orb = Orb("127.0.0.1", 60.0)
+print(orb._served._port, flush=True)
+"""
+
+
+def test_a_child_that_is_forked_serves_nothing_of_its_parent() -> None:
+    """Who calls a component that died is refused, and does not wait for ever."""
+    with ForkedProgram(FORKED) as forked:
+        place = "127.0.0.1", int(forked.read())
+        assert forked.read() == "forked"
+        with socket.create_connection(place):
+            forked.kill_parent()
+            with pytest.raises(ConnectionRefusedError):
+                socket.create_connection(place)

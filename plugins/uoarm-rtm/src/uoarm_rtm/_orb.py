@@ -12,11 +12,14 @@ from __future__ import annotations
 import logging
 import os
 import shutil
+import socket
+import struct
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -24,7 +27,7 @@ import omniORB
 from attrs import frozen
 from omniORB import CORBA
 
-from uoarm.bridge import at_exit
+from uoarm.bridge import at_exit, close_in_children
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._compiler import omniorb_programs
 
@@ -204,6 +207,43 @@ class _Shared:
 _shared = _Shared()
 
 
+class _ServedSockets:
+    """What the ORB listens at, and the connections that others have made there.
+
+    omniORB knows no forks: where a child held these, a component that sends to the dead parent
+    would wait for ever. Found on Linux only.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+
+    def close(self) -> None:
+        """Close them, in a child."""
+        for number in [int(path.name) for path in Path("/proc/self/fd").glob("*")]:
+            with suppress(OSError):  # it is no socket
+                held = socket.socket(fileno=number)
+                local = held.getsockname()
+                if isinstance(local, tuple) and local[1] == self._port:
+                    held.close()
+                held.detach()
+
+
+def _port_of(reference: str) -> int:
+    """Return the port in a stringified reference of this ORB (CORBA 3.3, part 2, 7.6 and 9.7.2)."""
+    octets = bytes.fromhex(reference.removeprefix("IOR:"))
+    # In it: the type, how many profiles, then the first: tag, length, and what is a whole again.
+    at = 8 + _unpack("I", octets, 4)
+    profile = octets[at + -at % 4 + 12 :]
+    at = 8 + _unpack("I", profile, 4)  # behind the host
+    return _unpack("H", profile, at + at % 2)
+
+
+def _unpack(form: str, octets: bytes, at: int) -> int:
+    """Return a number of an encapsulation, whose first octet says in which order its octets are."""
+    number: int = struct.unpack_from(("<" if octets[0] else ">") + form, octets, at)[0]
+    return number
+
+
 class Orb:
     """One user's hold on the ORB, with a POA of its own for servants.
 
@@ -229,6 +269,9 @@ class Orb:
                 root._get_the_POAManager().activate()
                 self._poa = root.create_POA(f"uoarm-{id(self)}", None, [])
                 self._poa._get_the_POAManager().activate()
+                nothing = self._poa.create_reference("IDL:omg.org/CORBA/Object:1.0")
+                self._served = _ServedSockets(_port_of(self._orb.object_to_string(nothing)))
+                close_in_children(self._served)
         except BridgeError:
             with _shared.lock:
                 _shared.users -= 1
