@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from endpoints import of, source
 from peers import Peer
 from test_leftovers import holding
 from tests.inbox import Inbox  # type: ignore[import-not-found]
+from uoarm_rtm._observers import Observers
 
 from uoarm.bridge import Bridge
 from uoarm.model import Health, Role
@@ -92,3 +94,35 @@ def test_an_observer_of_a_killed_process_is_removed_by_the_next(
         killed.wait()
     source(make_bridge(observe=False), of("From", Role.OUTPUT, "out"), Inbox())
     assert first.observers() == second.observers() == []
+
+
+def test_a_component_of_which_a_channel_opens_as_the_last_one_closed_is_observed_anew() -> None:
+    observers = Observers(cast("Any", None), "rtm", 1.0, lambda _: None)
+    entered = threading.Event()
+
+    class Component:
+        """Has no channel at the first look, and one from then on."""
+
+        looks = 0
+
+        @property
+        def is_used(self) -> bool:
+            self.looks += 1
+            if self.looks == 1:
+                opening.start()
+                wait(lambda: entered.is_set() or observers._guard.locked())
+            return self.looks > 1
+
+    component: Any = Component()
+
+    def enter() -> None:
+        observers.enter(component)
+        entered.set()
+
+    opening = threading.Thread(target=enter)
+    observers.enter(component)
+    (check,) = observers.checks()
+    component.looks = 0
+    check()
+    opening.join()
+    assert observers.checks(), "it is to be asked to take an observer"

@@ -71,8 +71,7 @@ class _Observed:
         with self._changing:
             if self._is_over:
                 return
-            if not self._component.is_used:
-                self._owner.forget(self._component)
+            if self._owner.forget_unused(self._component):
                 self._remove()
             elif not self._is_asked:
                 self._is_asked = True
@@ -161,10 +160,15 @@ class Observers:
             observed = self._observed.setdefault(component, _Observed(self, component))
         self._soon(observed.check)
 
-    def forget(self, component: WatchedComponent) -> None:
-        """Leave out a component from the next round on."""
+    def forget_unused(self, component: WatchedComponent) -> bool:
+        """Leave out a component without channels from the next round on; say whether it is one."""
+        # Looked at with the guard: one of which a channel opens now enters before it, and is kept,
+        # or is observed anew after it.
         with self._guard:
-            self._observed.pop(component, None)
+            is_unused = not component.is_used
+            if is_unused:
+                self._observed.pop(component, None)
+        return is_unused
 
     def checks(self) -> list[Check]:
         """Return what there is to do, of each component on its own."""
