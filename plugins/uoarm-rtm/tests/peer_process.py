@@ -351,7 +351,7 @@ class Process:
         found, _ = types.interface(interface)
         name = f"{self._component.profile.name}.served"
         servant = servant_of(found, "", self._service.answer)
-        self._component.add_port(ServicePort(self._orb, name, found, servant))
+        self._component.add_port(ServicePort(self._orb, name, found, servant, 2.0))
 
     def sleepers(self) -> int:
         """Return how many calls began to sleep."""

@@ -199,6 +199,15 @@ def test_a_call_whose_connection_another_has_ended_makes_one_that_is_ended_too(
     assert served.get_connector_profiles() == []
 
 
+def test_a_service_port_of_ours_waits_for_other_ports_as_long_as_its_bridge(
+    make_bridge: Make,
+) -> None:
+    bridge: Any = make_bridge(idl=IDL, call_timeout=7.5)
+    bridge.serve(endpoint(Role.SERVICE, "self", "helper", "Mover::echo"), lambda message: message)
+    (port,) = bridge._own.component.ports
+    assert port._seconds == 7.5
+
+
 def test_a_function_of_ours_serves_a_port_that_requires_it(make_bridge: Make, peer: Start) -> None:
     bridge = make_bridge(idl=IDL)
     component = peer("Needy")

@@ -96,6 +96,7 @@ class OwnComponent:
         self._orb = orb
         self._services = services
         self._report = report
+        self._seconds = seconds
         # Guards `_closed` while the name is looked up and bound, from `close` in another thread.
         self._binding = threading.Lock()
         self._closed = False
@@ -136,6 +137,7 @@ class OwnComponent:
             full,
             interface,
             servant,
+            self._seconds,
             instance=options.instance,
             kind=options.interface,
             idl=idl,

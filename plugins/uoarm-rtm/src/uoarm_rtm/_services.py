@@ -345,13 +345,14 @@ class ServicePort(PortServant):
         name: str,
         interface: IdlInterface,
         servant: Any,
+        seconds: float,
         *,
         instance: str = "",
         kind: str = "",
         idl: str = "",
     ) -> None:
         properties = {"port.port_type": "CorbaPort", **({IDL: idl} if idl else {})}
-        super().__init__(orb, name, properties, 2.0)
+        super().__init__(orb, name, properties, seconds)
         own = interface.name.split("/")[-1]
         kind, instance = kind or own, instance or own.lower()
         self._served = orb.serve(servant)
