@@ -225,6 +225,31 @@ def test_a_parameter_that_is_not_set_any_more_is_degraded_until_it_is(tmp_path: 
                 assert collector.wait(number, patience()) == [1] * number
 
 
+def test_a_change_of_a_parameter_that_is_more_than_a_call_may_hold_is_looked_at(
+    master: Master, lasting: Peer
+) -> None:
+    """And where no answer may hold it, the parameter is degraded until it has another value."""
+    for name in ("/table", "/speed"):
+        lasting.do("set_param", name=name, value=[1])
+    with bridge_to(master) as bridge:
+        collectors = {name: Collector() for name in ("/table", "/speed")}
+        for name, collector in collectors.items():
+            bridge.open_source(output(name, "parameter"), ANY, collector.deliver)
+            collector.wait(1, patience())
+        reports = Reports(bridge)
+        lasting.do("set_param", name="/table", value=[0] * 50_000)
+        assert len(collectors["/table"].wait(2, patience())[1]) == 50_000
+        deep: list[object] = []
+        for _ in range(100):
+            deep = [deep]
+        lasting.do("set_param", name="/table", value=deep)
+        reports.wait(Health.DEGRADED, "the parameter /table cannot be read: getParam: ")
+        lasting.do("set_param", name="/table", value=[2])
+        reports.wait(Health.OK, "the parameter /table is set again")
+        assert len(collectors["/table"].wait(3, patience())[2]) == 1
+        assert len(collectors["/speed"].messages) == 1
+
+
 def test_a_look_that_fails_ends_no_other(master: Master, lasting: Peer) -> None:
     lasting.do("advertise", topic="/looked_at", type=INT)
     with bridge_to(master) as bridge:

@@ -474,7 +474,7 @@ class Ros1ParameterSource(Source):
     """The value of a parameter as it is, and each time that it is set.
 
     While it is not set any more, since it was deleted or the master was started again without it,
-    the channel is degraded.
+    or has a value that is more than is read, the channel is degraded.
     """
 
     latched = True
@@ -540,7 +540,9 @@ class Ros1ParameterSource(Source):
                 value = self._node.master.call("getParam", self._name)
             except BridgeError as error:
                 if error.reason is FailureReason.REFUSED:
-                    self._note_gone()
+                    self._note_gone("is not set any more")
+                elif error.reason is FailureReason.BAD_MESSAGE:
+                    self._note_gone(f"cannot be read: {error}")
                 return  # or the master is away: it is looked at again when it is back
         if is_look:
             return
@@ -550,12 +552,12 @@ class Ros1ParameterSource(Source):
         self._received += 1
         self._deliver(value)
 
-    def _note_gone(self) -> None:
+    def _note_gone(self, why: str) -> None:
         with self._lock:
             self._last = _ABSENT  # the value that it had is news when it is found again
         if not self._is_gone:
             self._is_gone = True
-            self._report(self, Health.DEGRADED, f"the parameter {self._name} is not set any more")
+            self._report(self, Health.DEGRADED, f"the parameter {self._name} {why}")
 
     def _close(self) -> None:
         self._queue.close()

@@ -74,11 +74,17 @@ def call_api(
     host, port = _host_and_port(uri)
     if not port:
         raise BridgeError(f"{what} has the address {uri[:200]!r}, which is none")
+    reason = FailureReason.UNAVAILABLE
     try:
-        result = _exchange(host, port, encode_call(method, arguments), time.monotonic() + seconds)
-    except (OSError, ProtocolError, Fault) as error:
+        body = _exchange(host, port, encode_call(method, arguments), time.monotonic() + seconds)
+        reason = FailureReason.BAD_MESSAGE
+        result = decode_reply(body)
+    except Fault as error:
         text = failure_text(f"{method}: {what}", host, port, error)
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+    except (OSError, ProtocolError) as error:
+        text = failure_text(f"{method}: {what}", host, port, error)
+        raise BridgeError(text, reason) from error
     if not isinstance(result, list) or len(result) != _RESULT or type(result[0]) is not int:
         text = f"{method}: {what} at {host}:{port} answered with no code, text and value"
         raise BridgeError(text, FailureReason.BAD_MESSAGE)
@@ -99,8 +105,8 @@ def _host_and_port(uri: str) -> tuple[str, int]:
     return (host, port) if host else ("", 0)
 
 
-def _exchange(host: str, port: int, body: bytes, deadline: float) -> Any:
-    """Send a request and return what is replied; the deadline is for all of it together."""
+def _exchange(host: str, port: int, body: bytes, deadline: float) -> bytes:
+    """Send a request and return the body of the reply; the deadline is for all of it together."""
     with connect(host, port, deadline) as connection:
         connection.settimeout(max(0.001, deadline - time.monotonic()))
         connection.sendall(http_request(host, port, body))
@@ -119,7 +125,7 @@ def _exchange(host: str, port: int, body: bytes, deadline: float) -> Any:
                 raise ProtocolError("the connection ended before an answer")
             if not message.is_ok:
                 raise ProtocolError(f"it answered {message.start[:100]!r}")
-            return decode_reply(message.body)
+            return message.body
 
 
 class SharedAnswer(Generic[T]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 import threading
 import time
@@ -33,6 +34,8 @@ from uoarm_ros1._xmlrpc import (
 )
 
 _ASK_SECONDS = 0.5
+_HEAD_OCTETS = 4096
+_TEXT = re.compile(rb"<string>([^<]*)</string>")
 _LOOPBACK = {"localhost", "127.0.0.1", "::1"}
 T = TypeVar("T")
 Arrived = Callable[[socket.socket, dict[str, str]], None]
@@ -92,7 +95,13 @@ class Node:
         self._api.connections = self._connections
         self.loop = SocketLoop(f"uoarm-ros1{self.name}")
         try:
-            server = NodeServer(self.loop, address or "0.0.0.0", self._answer, self._arrived)  # noqa: S104 - see above
+            server = NodeServer(
+                self.loop,
+                address or "0.0.0.0",  # noqa: S104 - see above
+                self._answer,
+                self._arrived,
+                self._look_at_parameter,
+            )
         except BaseException:
             self.loop.close()
             raise
@@ -417,6 +426,13 @@ class Node:
         elif isinstance(event, Shutdown):
             self._ended(event.reason)
         return result
+
+    def _look_at_parameter(self, body: bytes) -> None:
+        """Have a parameter looked at of which a change came that is more than a call may hold."""
+        head = body[:_HEAD_OCTETS]
+        texts = _TEXT.findall(head) if b">paramUpdate<" in head else []
+        if len(texts) > 1:  # the caller, and the key
+            self.parameter_changed(texts[1].decode("utf-8", "replace").rstrip("/"), {})
 
     def _arrived(self, connection: socket.socket, header: dict[str, str]) -> None:
         if "service" in header:

@@ -221,6 +221,7 @@ class NodeServer:
         loop: that watches them.
         address: on which they listen.
         answer: makes of a method and its arguments what it returns; in the loop's thread.
+        unread: takes the body of a call that cannot be read; in the loop's thread.
         arrived: takes a connection, which does not block, and its header; in the loop's thread.
 
     Attributes:
@@ -228,7 +229,14 @@ class NodeServer:
         port: for connections of TCPROS.
     """
 
-    def __init__(self, loop: SocketLoop, address: str, answer: Answer, arrived: Arrived) -> None:
+    def __init__(
+        self,
+        loop: SocketLoop,
+        address: str,
+        answer: Answer,
+        arrived: Arrived,
+        unread: Callable[[bytes], object] = lambda _: None,
+    ) -> None:
         self._loop = loop
         self._unidentified = _UnidentifiedConnections(loop)
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
@@ -243,12 +251,14 @@ class NodeServer:
                 opened.close()
             raise
         self.api_port, self.port = (opened.getsockname()[1] for opened in sockets)
-        self._listeners = (
-            _Listener(sockets[0], loop, self._unidentified, lambda given: _Api(*given, answer)),
-            _Listener(
-                sockets[1], loop, self._unidentified, lambda given: _Arriving(*given, arrived)
-            ),
+        kinds: tuple[Callable[[Given], _UnidentifiedConnection], ...] = (
+            lambda given: _Api(*given, answer, unread),
+            lambda given: _Arriving(*given, arrived),
         )
+        self._listeners = [
+            _Listener(opened, loop, self._unidentified, make)
+            for opened, make in zip(sockets, kinds, strict=True)
+        ]
         for listener in self._listeners:
             loop.add(listener)
 
@@ -360,11 +370,12 @@ class _Api(_UnidentifiedConnection):
         loop: SocketLoop,
         unidentified: _UnidentifiedConnections,
         answer: Answer,
+        unread: Callable[[bytes], object],
     ) -> None:
         # A master keeps its connections for the next call; one that is idle too long is closed.
         super().__init__(connection, loop, unidentified, _IDLE_SECONDS)
         self._reader = HttpReader(_CALL_BUDGET.octets)
-        self._answer = answer
+        self._answer, self._unread = answer, unread
         self._out = bytearray()
         self._ends = False
         self._calls = 0
@@ -382,6 +393,7 @@ class _Api(_UnidentifiedConnection):
                 body = encode_reply(self._answer(method, arguments))
             except (ProtocolError, ValueError) as error:
                 body = encode_reply(Fault(str(error)))
+                self._unread(message.body)
             self._ends = self._ends or not message.keeps
             self._out += http_reply(body, keeps=message.keeps)
             if len(self._out) > _MAX_UNREAD_OCTETS:  # hundreds of calls may come in one piece
