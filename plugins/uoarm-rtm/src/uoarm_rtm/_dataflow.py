@@ -70,14 +70,12 @@ class SizeLimit:
             target: the object called, with its time limit; it is asked whether it is alive.
             size: octets of the message.
         """
+        if size <= max(self._passed, _SURELY_FITS):
+            return ""
         if isinstance(error, CORBA.MARSHAL) and error.completed == CORBA.COMPLETED_NO:
-            if size <= max(self._passed, _SURELY_FITS):
-                return ""
             text = f"a message of {size} octets is larger than our own limit of {self._ours}"
             return f"{self._where}: {text}: the bridge's option `max_message` raises it"
-        if not isinstance(error, CORBA.COMM_FAILURE) or size <= max(self._passed, _SURELY_FITS):
-            return ""
-        if not is_there(target):
+        if not isinstance(error, CORBA.COMM_FAILURE) or not is_there(target):
             return ""
         self._refused = min(size, self._refused or size)
         return self.refusal(size)
@@ -217,13 +215,11 @@ class Pusher:
             self.dropped += 1
             return False  # it may be back for the next
         except CORBA.Exception as error:
+            self.dropped += 1
             too_large = self._sizes.explain(error, self._target, len(data))
             if too_large:
                 _log.warning("%s", too_large)
-                self.dropped += 1
-                return False
-            self.dropped += 1
-            if not self._ended:
+            elif not self._ended:
                 self._lost()
             return False
         self._sizes.passed(len(data))

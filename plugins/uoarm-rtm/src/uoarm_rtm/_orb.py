@@ -284,11 +284,8 @@ class Orb:
 
     def withdraw(self, reference: Any) -> None:
         """Make a servant unreachable; does not wait for calls under way, and may come twice."""
-        try:
-            with calls:
-                self._poa.deactivate_object(self._poa.reference_to_id(reference))
-        except CORBA.Exception:
-            return  # it was withdrawn before, or everything has ended
+        with suppress(CORBA.Exception), calls:  # withdrawn before, or everything has ended
+            self._poa.deactivate_object(self._poa.reference_to_id(reference))
 
     def text(self, reference: Any) -> str:
         """Return the stringified reference (IOR)."""
@@ -442,11 +439,8 @@ def _wait_for_workers() -> None:
 
 
 def _destroy_poa(poa: Any) -> None:
-    try:
-        with calls:
-            poa.destroy(True, False)  # etherealise, do not wait
-    except CORBA.Exception:
-        return
+    with suppress(CORBA.Exception), calls:
+        poa.destroy(True, False)  # etherealise, do not wait
 
 
 def environment() -> dict[str, str]:

@@ -14,6 +14,7 @@ import logging
 import threading
 import uuid
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from _uoarm_rtm_stubs import RTC, RTC__POA
@@ -240,11 +241,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
             return RTC.BAD_PARAMETER
         self._quiesce(connector_id)
         for port in profile.ports:
-            try:
-                with calls:
-                    return limit(port, self._seconds).notify_disconnect(connector_id)
-            except CORBA.Exception:
-                continue
+            with suppress(CORBA.Exception), calls:
+                return limit(port, self._seconds).notify_disconnect(connector_id)
         return self.notify_disconnect(connector_id)
 
     def disconnect_all(self) -> Any:
@@ -259,13 +257,10 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         if profile is None:
             return RTC.BAD_PARAMETER
         following = self._following(profile)
-        if following is None:
-            return RTC.RTC_OK
-        try:
-            with calls:
+        if following is not None:
+            with suppress(CORBA.Exception), calls:  # gone, and its end of the connection with it
                 return limit(following, self._seconds).notify_disconnect(connector_id)
-        except CORBA.Exception:
-            return RTC.RTC_OK  # it is gone, and its end of the connection with it
+        return RTC.RTC_OK
 
     def drop(self, connector_id: str) -> Any:
         """Forget a connector, notifying no other port; returns its profile, None for none."""
@@ -323,8 +318,5 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
 
     def _undo(self, profile: Any) -> None:
         for port in profile.ports:
-            try:
-                with calls:
-                    limit(port, self._seconds).notify_disconnect(profile.connector_id)
-            except CORBA.Exception:
-                continue
+            with suppress(CORBA.Exception), calls:
+                limit(port, self._seconds).notify_disconnect(profile.connector_id)

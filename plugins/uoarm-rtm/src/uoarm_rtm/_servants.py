@@ -183,21 +183,15 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
 
     def activate_component(self, component: Any) -> Any:
         """Activate the component (CORBA operation)."""
-        if not self._is_mine(component):
-            return RTC.BAD_PARAMETER
-        return self._lifecycle.activate() if self._running else RTC.RTC_ERROR
+        return self._move(component, self._lifecycle.activate)
 
     def deactivate_component(self, component: Any) -> Any:
         """Deactivate the component (CORBA operation)."""
-        if not self._is_mine(component):
-            return RTC.BAD_PARAMETER
-        return self._lifecycle.deactivate() if self._running else RTC.RTC_ERROR
+        return self._move(component, self._lifecycle.deactivate)
 
     def reset_component(self, component: Any) -> Any:
         """Bring the component out of ERROR (CORBA operation)."""
-        if not self._is_mine(component):
-            return RTC.BAD_PARAMETER
-        return self._lifecycle.reset() if self._running else RTC.RTC_ERROR
+        return self._move(component, self._lifecycle.reset)
 
     def get_component_state(self, component: Any) -> Any:
         """Return the component's state, CREATED for any other (CORBA operation)."""
@@ -214,6 +208,11 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
 
     def _is_mine(self, component: Any) -> bool:
         return component is not None and bool(self.component._is_equivalent(component))
+
+    def _move(self, component: Any, move: Callable[[], Any]) -> Any:
+        if not self._is_mine(component):
+            return RTC.BAD_PARAMETER
+        return move() if self._running else RTC.RTC_ERROR
 
     def _switch(self, *, on: bool) -> Any:
         with self._changed:
