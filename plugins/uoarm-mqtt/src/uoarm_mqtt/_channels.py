@@ -33,18 +33,44 @@ from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver
 Report = Callable[[Channel, Health, str], None]
 
 
-def receive_queue(
-    topic: str, take: Callable[[ReceivedMessage], None], link: BrokerConnection
-) -> ReceiveQueue[ReceivedMessage]:
-    """Return what keeps messages of a topic until they are taken, as many as options say."""
-    options = link.options
-    return ReceiveQueue(
-        f"uoarm-mqtt-{topic}",
-        take,
-        options.backlog,
-        most_size=options.backlog_octets,
-        size=lambda message: len(message.payload),
-    )
+class _Subscription:
+    """What comes on a topic, kept until it is taken in a thread of its own, as options say."""
+
+    def __init__(
+        self,
+        link: BrokerConnection,
+        topic: str,
+        options: TopicOptions,
+        take: Callable[[ReceivedMessage], None],
+        report: Callable[[Health, str], object],
+        *,
+        is_service: bool = False,
+    ) -> None:
+        self._link, limits = link, link.options
+        monitor = ChannelMonitor(ChannelHealth(topic, time.monotonic()), report)
+        self.queue: ReceiveQueue[ReceivedMessage] = ReceiveQueue(
+            f"uoarm-mqtt-{topic}",
+            take,
+            limits.backlog,
+            most_size=limits.backlog_octets,
+            size=lambda message: len(message.payload),
+        )
+        self._receiver = Receiver(
+            f"$share/{options.share}/{topic}" if options.share else topic,
+            self.queue.put,
+            max(1, options.qos) if is_service else options.qos,
+            options.retain and not is_service,
+            lambda cause: monitor.refused(cause, final=True),
+        )
+        try:
+            link.subscribe(self._receiver)
+        except BaseException:
+            self.queue.close()
+            raise
+
+    def close(self) -> None:
+        self._link.unsubscribe(self._receiver)
+        self.queue.close()
 
 
 class MqttSource(Source):
@@ -81,35 +107,20 @@ class MqttSource(Source):
         self._deliver = deliver
         self._breaks = link.breaks
         self._received = self._cleared = 0
-        health = ChannelHealth(topic, time.monotonic())
-        self._health = ChannelMonitor(health, partial(report, self))
-        self._queue = receive_queue(topic, self._take, link)
-        self._receiver = Receiver(
-            f"$share/{options.share}/{topic}" if options.share else topic,
-            self._queue.put,
-            options.qos,
-            options.retain,
-            lambda cause: self._health.refused(cause, final=True),
-        )
-        try:
-            link.subscribe(self._receiver)
-        except BaseException:
-            self._queue.close()
-            raise
+        self._subscription = _Subscription(link, topic, options, self._take, partial(report, self))
 
     def facts(self) -> Mapping[str, object]:
         """Return counters; `interruptions` says how often the broker was away."""
         return {
             "received": self._received,
             "cleared": self._cleared,
-            "under_way": len(self._queue),
-            "lost_on_link": self._queue.dropped,
+            "under_way": len(self._subscription.queue),
+            "lost_on_link": self._subscription.queue.dropped,
             "interruptions": self._link.breaks - self._breaks,
         }
 
     def _close(self) -> None:
-        self._link.unsubscribe(self._receiver)
-        self._queue.close()
+        self._subscription.close()
 
     def _take(self, incoming: ReceivedMessage) -> None:
         self._received += 1
@@ -344,20 +355,9 @@ class ServedTopic(Channel):
         self._codec = PayloadCodec.of(options.content, structures.request, link.options.budget)
         self._answered = self._failed = self._unanswerable = 0
         topic = endpoint.address[0]
-        self._queue = receive_queue(topic, self._take, link)
-        shared = f"$share/{options.share}/{topic}" if options.share else topic
-        monitor = ChannelMonitor(ChannelHealth(topic, 0.0), partial(report, self))
-        self._receiver = Receiver(
-            shared,
-            self._queue.put,
-            max(1, options.qos),
-            refused=lambda cause: monitor.refused(cause, final=True),
+        self._subscription = _Subscription(
+            link, topic, options, self._take, partial(report, self), is_service=True
         )
-        try:
-            link.subscribe(self._receiver)
-        except BaseException:
-            self._queue.close()
-            raise
 
     def facts(self) -> dict[str, object]:
         """Return counters of requests; `unanswerable`: without a topic for the reply."""
@@ -365,12 +365,11 @@ class ServedTopic(Channel):
             "answered": self._answered,
             "failed": self._failed,
             "unanswerable": self._unanswerable,
-            "lost_on_link": self._queue.dropped,
+            "lost_on_link": self._subscription.queue.dropped,
         }
 
     def _close(self) -> None:
-        self._link.unsubscribe(self._receiver)
-        self._queue.close()
+        self._subscription.close()
 
     def _take(self, request: ReceivedMessage) -> None:
         topic = getattr(request.properties, "ResponseTopic", "")
@@ -390,10 +389,6 @@ class ServedTopic(Channel):
             payload = b""
             more["UserProperty"] = (_FAILED, sendable(text_of(error)))
         try:
-            self._link.publish(topic, payload, _ignore, qos=1, more=more)
+            self._link.publish(topic, payload, more=more)
         except Exception:  # noqa: BLE001 - not connected any more, or no topic
             self._unanswerable += 1
-
-
-def _ignore(_: PacketOutcome) -> None:
-    """Whether the reply was taken matters to the caller alone."""

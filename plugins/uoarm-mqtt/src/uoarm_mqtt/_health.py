@@ -50,21 +50,6 @@ class PresenceStatus:
         return cls(Health.FINISHED if value == options.finished else Health.LOST, cause)
 
 
-class ComponentPresence:
-    """Which changes of a component's presence are reported: that it comes, and that it goes."""
-
-    def __init__(self, options: PresenceOptions) -> None:
-        self._options = options
-        self._health = Health.LOST
-
-    def changed(self, payload: bytes) -> PresenceStatus | None:
-        """Take what stands on the topic now; returns what to report, None for nothing."""
-        status = PresenceStatus.read(self._options, payload)
-        before, self._health = self._health, status.health
-        is_news = status.health is not before and Health.OK in {status.health, before}
-        return status if is_news else None
-
-
 class RetainedTopic:
     """The last message of one topic, kept up to date until the connection is closed."""
 
@@ -117,11 +102,15 @@ class Components:
         Raises:
             BridgeError: with UNAVAILABLE: it says something else, or nothing.
         """
-        known = ComponentPresence(presence)
+        health = Health.LOST
 
         def changed(payload: bytes) -> None:
-            if (status := known.changed(payload)) is not None:
-                self._report(component, status.health, status.cause)
+            """Report that it comes, or that it goes."""
+            nonlocal health
+            status = PresenceStatus.read(presence, payload)
+            before, health = health, status.health
+            if health is not before and Health.OK in {health, before}:
+                self._report(component, health, status.cause)
 
         payload = self._read((component, presence), presence.topic, changed)
         status = PresenceStatus.read(presence, payload)

@@ -247,13 +247,13 @@ class BrokerConnection:
         self,
         topic: str,
         payload: bytes,
-        done: Done,
+        done: Done = _ignore,
         *,
         qos: int = 1,
         retain: bool = False,
         more: Mapping[str, Any] | None = None,
     ) -> None:
-        """Publish a message; returns at once. `done` is called once, from any thread.
+        """Publish a message; returns at once. `done`, if given, is called once, from any thread.
 
         Raises:
             BridgeError: the link is down, or the broker takes none such; `done` is not called.

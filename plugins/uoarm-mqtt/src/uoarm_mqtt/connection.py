@@ -10,7 +10,7 @@ more than JSON. ::
     options = connection_options("plant", BrokerOptions.of({"url": "mqtt://127.0.0.1"}))
     broker = BrokerConnection("plant", options, report)
     broker.subscribe(Receiver("plant/+/state", queue.put, retained=True))
-    broker.publish("plant/lamp", b"on", lambda outcome: None, qos=1)
+    broker.publish("plant/lamp", b"on")
     broker.close()
 
 `uoarm-vda5050` is built upon it.

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 from attrs import asdict, frozen
-from uoarm_mqtt.connection import BrokerConnection, PacketOutcome, ReceivedMessage, Receiver
+from uoarm_mqtt.connection import BrokerConnection, ReceivedMessage, Receiver
 
 from uoarm.bridge import ChannelHealth, ChannelReport, Delivery, ReceiveQueue, Sink, Source
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
@@ -217,7 +217,7 @@ class VehicleFollower:
                 continue
             try:
                 payload = self._codecs[action.topic].encode(action.body)
-                self._link.publish(f"{self._topic}/{action.topic}", payload, _ignore, qos=0)
+                self._link.publish(f"{self._topic}/{action.topic}", payload, qos=0)
             except BridgeError:
                 continue  # the broker is away, which is reported; it is sent again
             except Exception as error:  # noqa: BLE001 - the MQTT client's own would end the thread
@@ -226,10 +226,6 @@ class VehicleFollower:
                     self._do(self._transport.unsendable(why))
                 else:
                     _log.warning("%s/%s cannot be sent: %s", self._topic, action.topic, why)
-
-
-def _ignore(_: PacketOutcome) -> None:
-    """A state says whether it was taken."""
 
 
 _PARTS: Mapping[str, type[News]] = {"status": Status, "feedback": Feedback, "result": GoalEnded}

@@ -117,12 +117,9 @@ class VehicleState:
         if self.paused or self._cancelling or self.mode != "AUTOMATIC":
             return None
         if self._waiting:
-            one = self._waiting[0]
-            given = {
-                parameter["key"]: parameter["value"]
-                for parameter in one.get("actionParameters", ())
-            }
-            return Act(one["actionId"], one["actionType"], given, self.last_node, self.order_id)
+            action = self._waiting[0]
+            kind, given = action["actionType"], _parameters(action)
+            return Act(action["actionId"], kind, given, self.last_node, self.order_id)
         if not self._nodes or not self._nodes[0]["released"]:
             return None
         return self._drive(self._nodes[0], self._edges[0] if self._edges else {})
@@ -310,8 +307,7 @@ class VehicleState:
         for part in (*self._nodes, *self._edges):
             for action in part["actions"]:
                 self._states.setdefault(action["actionId"], _waiting(action))
-        released = [node for node in nodes if node["released"]]
-        self._last = released[-1]
+        self._last = [node for node in nodes if node["released"]][-1]
         if is_new:
             self._traverse(self._nodes.popleft())
         else:
@@ -333,11 +329,7 @@ class VehicleState:
 
     def _cancel(self, action: Body) -> str:
         """Cancel the order; return the status of the action that asks for it."""
-        given = {
-            parameter["key"]: parameter["value"]
-            for parameter in action.get("actionParameters") or ()
-        }
-        other = given.get("orderId", self.order_id) != self.order_id
+        other = _parameters(action).get("orderId", self.order_id) != self.order_id
         if self.is_idle or other:
             text = "there is no order to cancel"
             self._note(self.release.errors.nothing, text, {"actionId": action["actionId"]})
@@ -418,6 +410,11 @@ def _deviation(place: Mapping[str, Any]) -> float:
 
 def _left(part: Body, name: str) -> Body:
     return {key: part[key] for key in (name, "sequenceId", "released")}
+
+
+def _parameters(action: Body) -> Body:
+    given = action.get("actionParameters") or ()
+    return {parameter["key"]: parameter["value"] for parameter in given}
 
 
 def _waiting(action: Body) -> Body:

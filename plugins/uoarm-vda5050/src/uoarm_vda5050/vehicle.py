@@ -20,7 +20,6 @@ from typing_extensions import Self
 from uoarm_mqtt.connection import (
     BrokerConnection,
     BrokerOptions,
-    PacketOutcome,
     PresenceAnnouncement,
     ReceivedMessage,
     Receiver,
@@ -280,7 +279,7 @@ class Vehicle:
     def _publish(self, topic: str, body: dict[str, Any], *, retain: bool = False) -> None:
         try:
             payload = self._codecs[topic].encode(body)
-            self._broker.publish(f"{self._topic}/{topic}", payload, _ignore, qos=0, retain=retain)
+            self._broker.publish(f"{self._topic}/{topic}", payload, qos=0, retain=retain)
         except BridgeError:
             return  # the broker is away: the next state says it all
 
@@ -315,6 +314,17 @@ class Vehicle:
             self._said_at = float("-inf")
 
 
+# As releases 2 and 3 name them, and what this carrier states.
+_LIMITS = (
+    ("speedMin", "minimumSpeed", 0.0),
+    ("speedMax", "maximumSpeed", 1.0),
+    ("accelerationMax", "maximumAcceleration", 1.0),
+    ("decelerationMax", "maximumDeceleration", 1.0),
+    ("heightMin", "minimumHeight", 0.1),
+    ("heightMax", "maximumHeight", 0.5),
+)
+
+
 def _factsheet(
     major: str, name: str, actions: Iterable[str], given: Mapping[str, Any]
 ) -> dict[str, Any]:
@@ -332,20 +342,11 @@ def _factsheet(
         "localizationTypes": ["NATURAL"],
         "navigationTypes": ["AUTONOMOUS" if old else "FREELY_NAVIGATING"],
     }
-    limits = (
-        "SpeedMin",
-        "SpeedMax",
-        "AccelerationMax",
-        "DecelerationMax",
-        "HeightMin",
-        "HeightMax",
-    )
-    physical = [_limit(name, is_old=old) for name in limits]
     most, least, lengths = ("max", "min", "Lens") if old else ("maximum", "minimum", "Lengths")
     made: dict[str, Any] = {
         "typeSpecification": kind,
         "physicalParameters": {
-            **dict(zip(physical, (0.0, 1.0, 1.0, 1.0, 0.1, 0.5), strict=True)),
+            **{two if old else three: value for two, three, value in _LIMITS},
             "width": 0.5,
             "length": 0.5,
         },
@@ -364,14 +365,3 @@ def _factsheet(
     for key, value in given.items():
         made[key] = {**made[key], **value} if isinstance(made.get(key), dict) else value
     return made
-
-
-def _limit(name: str, *, is_old: bool) -> str:
-    """Return how a release names a limit, such as `SpeedMin`: speedMin, later minimumSpeed."""
-    if is_old:
-        return name[:1].lower() + name[1:]
-    return {"Min": "minimum", "Max": "maximum"}[name[-3:]] + name[:-3]
-
-
-def _ignore(_: PacketOutcome) -> None:
-    """The next state says it all."""
