@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import orjson
 from attrs import frozen
 
-from uoarm.cdr import BASIC
+from uoarm.cdr import BASIC, RosDefinition, structure_of_definition
 from uoarm.errors import UoarmError, UsageError
 from uoarm.model import Component, Function, Message, MessageStructure
 from uoarm.server.front_end import AccessRole, Operation, UnknownError, is_action
@@ -74,21 +74,26 @@ _TYPES: Mapping[str, tuple[str, str, str]] = {
     "delete_param": ("DeleteParam", "string name", _DONE),
     "get_param_names": ("GetParamNames", "", "string[] names"),
     "has_param": ("HasParam", "string name", "bool exists"),
-    "get_time": ("GetTime", "", "Time time"),
+    "get_time": ("GetTime", "", "builtin_interfaces/Time time"),
     "get_ros_version": ("GetROSVersion", "", "uint8 version, string distro"),
 }
 """Services of rosapi: their types in the package rosapi_msgs, their requests and responses."""
 
-_WITHIN = {
-    "Time": ("builtin_interfaces/msg/Time", "int32 sec, uint32 nanosec"),
-    "TypeDef": (
-        "rosapi_msgs/msg/TypeDef",
-        (
-            "string type, string[] fieldnames, string[] fieldtypes, int32[] fieldarraylen, "
-            "string[] examples, string[] constnames, string[] constvalues"
-        ),
-    ),
-}
+_WITHIN = """
+===
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+===
+MSG: rosapi_msgs/TypeDef
+string type
+string[] fieldnames
+string[] fieldtypes
+int32[] fieldarraylen
+string[] examples
+string[] constnames
+string[] constvalues
+"""
 
 
 @frozen
@@ -447,23 +452,9 @@ def _own_structures(service: str) -> tuple[MessageStructure, MessageStructure]:
     return _structure(f"{name}_Request", request), _structure(f"{name}_Response", response)
 
 
-def _structure(name: str, text: str) -> MessageStructure:
-    return MessageStructure(_record(name, text), native_type=name)
-
-
-def _record(name: str, text: str) -> dict[str, Any]:
-    fields = [field.split() for field in text.split(", ")] if text else []
-    properties = {field: _schema(kind) for kind, field in fields}
-    return {"type": "object", "properties": properties, "x-native-type": name}
-
-
-def _schema(kind: str) -> dict[str, Any]:
-    if kind.endswith("[]"):
-        return {"type": "array", "items": _schema(kind.removesuffix("[]"))}
-    if kind in _WITHIN:
-        return _record(*_WITHIN[kind])
-    types = {"string": "string", "bool": "boolean"}
-    return {"type": types.get(kind, "integer"), "x-native-type": kind}
+def _structure(name: str, fields: str) -> MessageStructure:
+    definition = RosDefinition(name, fields.replace(", ", "\n") + _WITHIN)
+    return MessageStructure(structure_of_definition(definition).schema, native_type=name)
 
 
 def arguments_by_name(service: str, arguments: Message) -> Arguments | None:
