@@ -124,11 +124,6 @@ def _read(element: ET.Element, where: str, known: set[str]) -> Field:
     return kind
 
 
-def _boolean(element: ET.Element, where: str) -> tuple[Field, set[str]]:
-    del element, where
-    return BooleanField(), set()
-
-
 def _integer(element: ET.Element, where: str) -> tuple[Field, set[str]]:
     low, high = INT64
     minimum = read_whole(element.get("minimum", str(low)))
@@ -163,14 +158,6 @@ def _string(element: ET.Element, where: str) -> tuple[Field, set[str]]:
     return StringField(choices, _size(element, "maxLength", where)), {"maxLength"}
 
 
-def _octets_field(element: ET.Element, where: str) -> tuple[Field, set[str]]:
-    return OctetsField(_size(element, "maxLength", where)), {"maxLength"}
-
-
-def _struct(element: ET.Element, where: str) -> tuple[Field, set[str]]:
-    return StructField(read_fields(element, where)), set()
-
-
 def _list(element: ET.Element, where: str) -> tuple[Field, set[str]]:
     if len(element) != 1:
         raise WireError(
@@ -183,12 +170,15 @@ def _list(element: ET.Element, where: str) -> tuple[Field, set[str]]:
 
 
 _READERS: dict[str, Callable[[ET.Element, str], tuple[Field, set[str]]]] = {
-    "boolean": _boolean,
+    "boolean": lambda _element, _where: (BooleanField(), set()),
     "integer": _integer,
     "number": _number,
     "string": _string,
-    "octets": _octets_field,
-    "struct": _struct,
+    "octets": lambda element, where: (
+        OctetsField(_size(element, "maxLength", where)),
+        {"maxLength"},
+    ),
+    "struct": lambda element, where: (StructField(read_fields(element, where)), set()),
     "list": _list,
 }
 

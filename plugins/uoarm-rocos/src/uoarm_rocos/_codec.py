@@ -231,6 +231,9 @@ class XmlCodec:
             raise WireError(f"<{root.tag[:40]}> is no message of the profile")
         names, read = reader
         allowed(root, names | {"seq", "id"}, "message")
+        if len(root) and root.tag not in _HOLDING_ELEMENTS:
+            inner = root[0].tag[:40]
+            raise WireError(f"<{root.tag}> holds an element <{inner}>, expected none")
         return read(root, _count(root, "seq", 0))
 
 
@@ -263,7 +266,6 @@ def _read_error(root: ET.Element, seq: int) -> ErrorMessage:
     code = codes.get(root.get("code", ""))
     if code is None:
         raise WireError(f"<error>: unknown code {root.get('code', '')[:40]!r}")
-    _empty(root)
     return ErrorMessage(seq, _count(root, "id", 0), code, root.text or "")
 
 
@@ -273,7 +275,6 @@ def _read_open(root: ET.Element, seq: int) -> OpenMessage:
     if direction is None:
         text = root.get("direction", "")[:40]
         raise WireError(f"<open>: direction must be input or output, got {text!r}")
-    _empty(root)
     return OpenMessage(seq, _id(root), _api(root), direction)
 
 
@@ -282,36 +283,28 @@ def _read_data(root: ET.Element, seq: int) -> DataMessage:
     return DataMessage(seq, _id(root), read_values(root), None if time is None else read_real(time))
 
 
-def _read_catalogue(root: ET.Element, seq: int) -> CatalogueMessage:
-    return CatalogueMessage(seq, _id(root), read_catalogue(root))
-
-
-def _read_describe(root: ET.Element, seq: int) -> DescribeMessage:
-    _empty(root)
-    return DescribeMessage(seq, _id(root), _count(root, "profile", 0))
-
-
 def _read_heartbeat(root: ET.Element, seq: int) -> HeartbeatMessage:
     allowed(root, {"seq"}, "message")
-    _empty(root)
     return HeartbeatMessage(seq)
 
 
-def _read_close(root: ET.Element, seq: int) -> CloseMessage:
-    _empty(root)
-    return CloseMessage(seq, _id(root))
-
-
+_HOLDING_ELEMENTS = {"data", "result", "call", "catalogue"}
 _READERS: dict[str, tuple[set[str], Callable[[ET.Element, int], WireMessage]]] = {
     "data": ({"time"}, _read_data),
     "result": (set(), lambda root, seq: ResultMessage(seq, _id(root), read_values(root))),
     "call": ({"api"}, lambda root, seq: CallMessage(seq, _id(root), _api(root), read_values(root))),
     "open": ({"api", "direction"}, _read_open),
-    "close": (set(), _read_close),
+    "close": (set(), lambda root, seq: CloseMessage(seq, _id(root))),
     "error": ({"code"}, _read_error),
     "heartbeat": (set(), _read_heartbeat),
-    "describe": ({"profile"}, _read_describe),
-    "catalogue": ({"profile", "device", "revision", "heartbeat"}, _read_catalogue),
+    "describe": (
+        {"profile"},
+        lambda root, seq: DescribeMessage(seq, _id(root), _count(root, "profile", 0)),
+    ),
+    "catalogue": (
+        {"profile", "device", "revision", "heartbeat"},
+        lambda root, seq: CatalogueMessage(seq, _id(root), read_catalogue(root)),
+    ),
 }
 
 
@@ -334,8 +327,3 @@ def _api(root: ET.Element) -> str:
     if not NAME.fullmatch(name):
         raise WireError(f"<{root.tag}>: {name[:40]!r} is no name of an API")
     return name
-
-
-def _empty(root: ET.Element) -> None:
-    if len(root):
-        raise WireError(f"<{root.tag}> holds an element <{root[0].tag[:40]}>, expected none")
