@@ -71,8 +71,7 @@ class TypeStore:
     """
 
     def __init__(self, folders: Iterable[str]) -> None:
-        self._texts: dict[str, str] = {}
-        self._services: dict[str, str] = {}
+        self._texts: dict[str, dict[str, str]] = {"msg": {}, "srv": {}}
         for folder in folders:
             path = Path(folder)
             if not path.is_dir():
@@ -108,7 +107,8 @@ class TypeStore:
         Raises:
             BridgeError: the definition, or one within it, cannot be read.
         """
-        text = given or self._service_text(name)
+        text = given or self._found("srv", name)
+        text = _OWN_SERVICES.get(name) if text is None else text
         if text is None:
             return None
         try:
@@ -161,20 +161,15 @@ class TypeStore:
 
     def text(self, name: str) -> str | None:
         """Return the text of one message type alone, without those within it."""
-        if name in self._texts:
-            return self._texts[name]
-        installed = self._look()
-        if installed is not None and name in installed._texts:  # noqa: SLF001 - one of its kind
-            return installed._texts[name]  # noqa: SLF001 - one of its kind
-        return _OWN_MESSAGES.get(name) or noetic_definition(name)
+        found = self._found("msg", name)
+        return _OWN_MESSAGES.get(name) or noetic_definition(name) if found is None else found
 
-    def _service_text(self, name: str) -> str | None:
-        if name in self._services:
-            return self._services[name]
+    def _found(self, kind: str, name: str) -> str | None:
+        """Return the text of a file, of the configuration's folders or of what is installed."""
+        if name in self._texts[kind]:
+            return self._texts[kind][name]
         installed = self._look()
-        if installed is not None and name in installed._services:  # noqa: SLF001 - one of its kind
-            return installed._services[name]  # noqa: SLF001 - one of its kind
-        return _OWN_SERVICES.get(name)
+        return None if installed is None else installed._texts[kind].get(name)
 
     def _whole(self, name: str, text: str) -> str:
         """Return a definition with those of all types that are found for it."""
@@ -219,22 +214,20 @@ class TypeStore:
             kind = _SUFFIXES[path.suffix]
             package = (path.parent.parent if path.parent.name == kind else path.parent).name
             name = f"{package}/{path.stem}"
-            if kind == "msg":
-                self._texts[name] = text
-            elif kind == "srv":
-                self._services[name] = text
-            else:
+            if kind == "action":
                 self._take_action(name, text)
+            else:
+                self._texts[kind][name] = text
 
     def _take_action(self, name: str, text: str) -> None:
         parts = re.split(r"^---[ \t]*$", text.replace("\r\n", "\n"), flags=re.MULTILINE)
         if len(parts) != 3:  # noqa: PLR2004 - a goal, a result and feedback
             return
         for ending, part in zip(("Goal", "Result", "Feedback"), parts, strict=True):
-            self._texts[f"{name}{ending}"] = part.strip("\n") + "\n"
+            self._texts["msg"][f"{name}{ending}"] = part.strip("\n") + "\n"
         for ending, template in _ACTION_PARTS.items():
             own = name.partition("/")[2]
-            self._texts[f"{name}{ending}"] = template.format(name=own)
+            self._texts["msg"][f"{name}{ending}"] = template.format(name=own)
 
 
 def _is_readable(path: Path) -> bool:
