@@ -170,7 +170,7 @@ def keeping_only(_: Any) -> Any:
 
 def never_failing(original: Any) -> Any:
     def init(
-        served: Any, endpoint: Any, options: Any, offers: Any, handler: Any, link: Any
+        served: Any, endpoint: Any, options: Any, offers: Any, handler: Any, *more: Any
     ) -> None:
         def handle(request: Any) -> Any:
             try:
@@ -178,7 +178,7 @@ def never_failing(original: Any) -> Any:
             except ArithmeticError:
                 return {"value": 0}
 
-        original(served, endpoint, options, offers, handle, link)
+        original(served, endpoint, options, offers, handle, *more)
 
     return init
 
