@@ -12,6 +12,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 
+from attrs import define, field
+
 from uoarm_ros1._definitions import RosRecord
 from uoarm_ros1._server import Handler, SocketLoop
 from uoarm_ros1._tcpros import (
@@ -143,6 +145,7 @@ class _Subscriber(Handler):
             self._waiting.clear()
 
 
+@define(eq=False)
 class TopicPublication:
     """One topic, with one type.
 
@@ -160,27 +163,21 @@ class TopicPublication:
             node was refused; else one has come or gone.
     """
 
-    def __init__(
-        self,
-        loop: SocketLoop,
-        caller: str,
-        topic: str,
-        record: RosRecord,
-        *,
-        latch: int = 0,
-        limits: tuple[int, int] = (100, 1 << 26),
-    ) -> None:
-        self.topic, self.record, self.latch = topic, record, latch
-        self._loop, self._caller, self._limits = loop, caller, limits
-        # Guards who is subscribed and what is latched: one who comes gets what was latched before,
-        # or what is sent from then on, never neither.
-        self._changed = threading.Condition()
-        self._subscribers: tuple[_Subscriber, ...] = ()
-        self._latched: deque[bytes | bytearray] = deque()
-        self._lost = 0
-        self.sent = 0
-        self.registered: int | None = None
-        self.watchers: tuple[Callable[[str, bool], None], ...] = ()
+    _loop: SocketLoop
+    _caller: str
+    topic: str
+    record: RosRecord
+    latch: int = field(default=0, kw_only=True)
+    _limits: tuple[int, int] = field(default=(100, 1 << 26), kw_only=True)
+    # Guards who is subscribed and what is latched: one who comes gets what was latched before,
+    # or what is sent from then on, never neither.
+    _changed: threading.Condition = field(factory=threading.Condition, init=False)
+    _subscribers: tuple[_Subscriber, ...] = field(default=(), init=False)
+    _latched: deque[bytes | bytearray] = field(factory=deque, init=False)
+    _lost: int = field(default=0, init=False)
+    sent: int = field(default=0, init=False)
+    registered: int | None = field(default=None, init=False)
+    watchers: tuple[Callable[[str, bool], None], ...] = field(default=(), init=False)
 
     @property
     def callers(self) -> list[str]:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from attrs import frozen
+from attrs import define, field, frozen
 
 from uoarm.bridge import Backoff, text_of
 from uoarm.errors import BridgeError
@@ -311,6 +311,7 @@ class _Publisher:
         return ""
 
 
+@define(eq=False)
 class TopicSubscription:
     """One topic, kept connected to the publishers that the master names.
 
@@ -324,21 +325,16 @@ class TopicSubscription:
             with its name or address, the cause, and whether it had been connected.
     """
 
-    def __init__(
-        self,
-        wanted: SubscriptionOptions,
-        peers: Peers,
-        take: Callable[[bytes | bytearray, str], object],
-        came: Callable[[PublisherHeader], object],
-        went: Callable[[str, str, bool], object],
-    ) -> None:
-        self.wanted, self.peers, self.take = wanted, peers, take
-        self._came, self._went = came, went
-        # Guards the table of publishers, between the loop, in which the master's word comes, and
-        # their threads.
-        self._changed = threading.Condition()
-        self._publishers: dict[str, _Publisher] = {}
-        self._closed = False
+    wanted: SubscriptionOptions
+    peers: Peers
+    take: Callable[[bytes | bytearray, str], object]
+    _came: Callable[[PublisherHeader], object]
+    _went: Callable[[str, str, bool], object]
+    # Guards the table of publishers, between the loop, in which the master's word comes, and
+    # their threads.
+    _changed: threading.Condition = field(factory=threading.Condition, init=False)
+    _publishers: dict[str, _Publisher] = field(factory=dict, init=False)
+    _closed: bool = field(default=False, init=False)
 
     @property
     def connected(self) -> list[PublisherHeader]:

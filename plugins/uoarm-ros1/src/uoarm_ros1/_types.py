@@ -169,7 +169,7 @@ class TypeStore:
         if name in self._texts[kind]:
             return self._texts[kind][name]
         installed = self._look()
-        return None if installed is None else installed._texts[kind].get(name)
+        return None if installed is None else installed._texts[kind].get(name)  # noqa: SLF001
 
     def _whole(self, name: str, text: str) -> str:
         """Return a definition with those of all types that are found for it."""

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
-from attrs import frozen
+from attrs import define, field, frozen
 
 from uoarm.bridge import Channel, Handler, ServedRequests, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
@@ -200,6 +200,7 @@ class ServiceClient:
         self._is_matched = True
 
 
+@define(eq=False)
 class OtherServers:
     """Looks whether others serve a name that we serve: a client takes the reply that comes first.
 
@@ -215,20 +216,14 @@ class OtherServers:
         clock: seconds.
     """
 
-    def __init__(
-        self,
-        runner: NodeRunner,
-        own: Callable[[], frozenset[str]],
-        name: str,
-        service: str,
-        report: Callable[[Health, str], None],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._runner, self._own = runner, own
-        self._name, self._service = name, service
-        self._report, self._clock = report, clock
-        self._since: float | None = None
-        self._is_reported = False
+    _runner: NodeRunner
+    _own: Callable[[], frozenset[str]]
+    _name: str
+    _service: str
+    _report: Callable[[Health, str], None]
+    _clock: Callable[[], float] = time.monotonic
+    _since: float | None = field(default=None, init=False)
+    _is_reported: bool = field(default=False, init=False)
 
     def tick(self) -> None:
         """Look at the graph, a few times a second."""

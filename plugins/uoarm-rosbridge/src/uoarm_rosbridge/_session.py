@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 import orjson
-from attrs import frozen
+from attrs import define, field, frozen
 
 from uoarm.bridge import LimitedLog
 from uoarm.errors import BridgeError, ControlMessageError, UsageError
@@ -66,6 +66,7 @@ _ANSWERED = {
 }
 
 
+@define(eq=False)
 class ClientServices:
     """Calls and answers of one client, in the loop's thread.
 
@@ -73,39 +74,27 @@ class ClientServices:
         client: its limits and its rights.
         backend: where functions are called.
         hub: where clients call one another.
-        catalogue: answers what rosapi asks of the whole robot.
+        rosapi: answers what the client asks of the robot.
         addresses: of functions, which clients may call by them.
         send: sends one message to the client, in fragments of a size, 0 for none.
         ask: sends another client's request; raises BusyError where it leaves too much unread.
         cancel_goals: asks for the end of all the client's goals to an action.
     """
 
-    def __init__(
-        self,
-        client: Client,
-        backend: Backend,
-        hub: Hub,
-        catalogue: RosapiCatalogue,
-        addresses: Addresses,
-        send: Callable[[Fields, int], None],
-        ask: Callable[[Fields], None],
-        cancel_goals: Callable[[NamedPort], None],
-    ) -> None:
-        self._client = client
-        self._limits = client.limits
-        self._backend = backend
-        self._hub = hub
-        self._addresses = addresses
-        self._send = send
-        self._ask = ask
-        self._cancel_goals = cancel_goals
-        self._rosapi = Rosapi(catalogue, hub, client)
-        self._provided: set[str] = set()
+    _client: Client
+    _backend: Backend
+    _hub: Hub
+    _rosapi: Rosapi
+    _addresses: Addresses
+    _send: Callable[[Fields, int], None]
+    _ask: Callable[[Fields], None]
+    _cancel_goals: Callable[[NamedPort], None]
+    _provided: set[str] = field(factory=set, init=False)
 
     async def call(self, fields: Fields) -> None:
         """Call a service and send its response."""
         arguments = fields.get("args")
-        limit, most = fields.get("timeout"), self._limits.call_seconds
+        limit, most = fields.get("timeout"), self._client.limits.call_seconds
         timeout = min(float(limit), most) if isinstance(limit, int | float) and limit > 0 else most
         stated = str(fields.get("type") or "")
         values = await self._answer(str(fields["service"]), stated, arguments, timeout)
@@ -125,8 +114,10 @@ class ClientServices:
         self._client.require(Operation.SEND, place.right)
         if place.function or place.name.startswith(PREFIX):
             raise UsageError(f"{place.name!r} belongs to the server")
-        if len(self._provided) >= self._limits.streams:
-            raise LimitError(f"{self._limits.streams} services are provided; withdraw one first")
+        if len(self._provided) >= self._client.limits.streams:
+            raise LimitError(
+                f"{self._client.limits.streams} services are provided; withdraw one first"
+            )
         self._hub.provide(place.name, fields["type"], self)
         self._provided.add(place.name)
 
@@ -219,8 +210,9 @@ class RosbridgeSession:
         )
         self._actions = Actions(client, backend, hub.actions, self._fail, self.ask)
         cancel = self._actions.cancel_all
+        rosapi = Rosapi(catalogue, hub, client)
         self._services = ClientServices(
-            client, backend, hub, catalogue, addresses, self.send, self.ask, cancel
+            client, backend, hub, rosapi, addresses, self.send, self.ask, cancel
         )
         topics, services, actions = self._topics, self._services, self._actions
         self._operations = {

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from _uoarm_rtm_stubs import RTC
+from attrs import define, field
 from omniORB import CORBA
 
 from uoarm.bridge import Channel, Description, LimitedLog, foreign, text_of
@@ -97,6 +98,7 @@ def offered(peer: PeerComponent, port: PeerPort, wanted: str, *, provided: bool)
     raise BridgeError(text, FailureReason.BAD_ENDPOINT)
 
 
+@define(eq=False)
 class OperationCaller:
     """A connection to one provided interface, made with the first call and ended with a loss.
 
@@ -114,31 +116,23 @@ class OperationCaller:
         connections: makes the connector.
     """
 
-    def __init__(
-        self,
-        orb: Orb,
-        peer: PeerComponent,
-        port: PeerPort,
-        interface: IdlInterface,
-        offer: PortInterface,
-        operation: str,
-        seconds: float,
-        connections: Connections,
-    ) -> None:
-        self._connections = connections
-        self._operation = operation
-        self._orb = orb
-        self._port = port
-        self._interface = interface
-        self._offer = offer
-        self._seconds = seconds
-        self._where = f"port {port.name!r} of component {peer.path!r}"
-        self._instance = peer.instance
-        # Guards connector and object: one call connects, `end` of another thread disconnects.
-        self._lock = threading.Lock()
-        self._connector: Connector | None = None
-        self._reference = ""
-        self.ended = False
+    _orb: Orb
+    _peer: PeerComponent
+    _port: PeerPort
+    _interface: IdlInterface
+    _offer: PortInterface
+    _operation: str
+    _seconds: float
+    _connections: Connections
+    # Guards connector and object: one call connects, `end` of another thread disconnects.
+    _lock: threading.Lock = field(factory=threading.Lock, init=False)
+    _connector: Connector | None = field(default=None, init=False)
+    _reference: str = field(default="", init=False)
+    ended: bool = field(default=False, init=False)
+
+    @property
+    def _where(self) -> str:
+        return f"port {self._port.name!r} of component {self._peer.path!r}"
 
     def call(self, message: Message, seconds: float, whose: str) -> Message:
         """Call the operation and return its reply, in so many seconds; `whose` names their limit.
@@ -201,9 +195,8 @@ class OperationCaller:
             if is_new:
                 connector = self._connections.connect(self._where, {}, self._port)
                 names = f"{self._offer.type}.{self._offer.name}"
-                ior = connector.published(
-                    f"{self._instance}.port.{self._port.name}.provided.{names}", f"port.{names}"
-                )
+                long = f"{self._peer.instance}.port.{self._port.name}.provided.{names}"
+                ior = connector.published(long, f"port.{names}")
                 try:
                     reference = self._orb.reference(ior)
                     narrowed(reference, self._interface.stub, self._seconds, self._where)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from attrs import frozen
 from uoarm_mqtt.connection import BrokerConnection, ReceivedMessage, Receiver, limits_of
 
 from uoarm.bridge import Description, Discovered
@@ -19,6 +20,7 @@ _PARTS = tuple((TRANSPORT, part) for part in TRANSPORT_PARTS)
 _PORTS = (*((topic,) for topic in TOPICS), *_PARTS, (TRANSPORT,))
 
 
+@frozen(eq=False)
 class VehicleDirectory:
     """Describes the ports of vehicles, and lists the vehicles that are there.
 
@@ -27,19 +29,14 @@ class VehicleDirectory:
         link: to the broker.
         prefix: first levels of every topic.
         published: the structures of topics.
-        factsheets: reads them.
+        codec: reads factsheets.
     """
 
-    def __init__(
-        self,
-        bridge: str,
-        link: BrokerConnection,
-        prefix: str,
-        published: Published,
-        factsheets: VdaCodec,
-    ) -> None:
-        self._bridge, self._link, self._prefix = bridge, link, prefix
-        self._published, self._codec = published, factsheets
+    _bridge: str
+    _link: BrokerConnection
+    _prefix: str
+    _published: Published
+    _codec: VdaCodec
 
     def description(self, place: VehicleAddress) -> Description:
         """Return the structures of what passes at an address."""
