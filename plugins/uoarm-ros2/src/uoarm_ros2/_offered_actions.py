@@ -10,19 +10,18 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from attrs import define
 
-from uoarm.bridge import Channel, Handler, ServedRequests, Sink, Source
+from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Message
 from uoarm_ros2._conversion import reader, writer
-from uoarm_ros2._health import Report
 from uoarm_ros2._middleware import GoalRequest, NodeRunner
 from uoarm_ros2._schema import action_records
+from uoarm_ros2._services import ServedFunction
 from uoarm_ros2._types import import_type
 
 _MOST_WAITING = 256
@@ -380,36 +379,13 @@ class OfferedSink(Sink):
         self._action.leave(self._part)
 
 
-class OfferedCall(Channel):
+class OfferedCall(ServedFunction[tuple[bytes, Message]]):
     """A service of a function as an action: its reply is the result, and there is no feedback.
 
     Goals are accepted while there is room. One that fails is aborted; a call cannot be cancelled.
-
-    Args:
-        runner: where it is offered.
-        endpoint: as it was configured.
-        name: the full name.
-        type_name: the action's type.
-        handler: called by `at_once` threads at most.
-        at_once: how many.
-        report: takes changes of health.
     """
 
-    def __init__(
-        self,
-        runner: NodeRunner,
-        endpoint: Endpoint,
-        name: str,
-        type_name: str,
-        handler: Handler,
-        at_once: int,
-        report: Report,
-    ) -> None:
-        super().__init__(endpoint)
-        self._handler = handler
-        self.requests: ServedRequests[tuple[bytes, Message]] = ServedRequests(
-            f"serving {name}", self._answer, self._refuse, at_once, partial(report, self)
-        )
+    def _serve(self, type_name: str) -> None:
         goal, _, result = action_records(type_name)
         self._read = reader(goal)
         self._write = writer(result)
@@ -417,18 +393,13 @@ class OfferedCall(Channel):
         # each is ended once.
         self._lock = threading.Lock()
         self._running: set[bytes] = set()
-        self._runner = runner
-        self._server = runner.goal_server(
+        self._server = self._runner.goal_server(
             import_type(type_name),
-            name,
+            self._name,
             self._ask,
             may_cancel=lambda _: False,
             cancel=lambda _: None,
         )
-
-    def facts(self) -> Mapping[str, object]:
-        """Return counters of goals."""
-        return self.requests.facts()
 
     def _close(self) -> None:
         self.requests.close()

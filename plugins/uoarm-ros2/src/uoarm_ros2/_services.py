@@ -10,9 +10,10 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from attrs import define, field, frozen
 
@@ -29,6 +30,7 @@ from uoarm_ros2._types import RecordType, ScalarType, StringType, import_type
 _LOOK_SECONDS = 1.0
 _LEASE_SECONDS = 30.0
 _SEVERAL = 2
+T = TypeVar("T")
 
 
 @frozen
@@ -255,18 +257,16 @@ def _reason_of(reply: RecordType) -> StringType | None:
     return text if can_refuse and isinstance(text, StringType) else None
 
 
-class ServiceServer(Channel):
-    """A service offered to ROS.
+class ServedFunction(Channel, Generic[T]):
+    """A function that is offered to ROS: requests are handled a few at a time.
 
-    When the handler fails, a reply type with a boolean `success` and a text `message` says so; any
-    other client is left without a reply, since ROS 2 has no other way to refuse, and the channel is
-    degraded. The same happens to requests for which there is no room.
+    Must implement: `_serve`, `_answer`, `_refuse`, `_close`.
 
     Args:
         runner: where it is offered.
         endpoint: as it was configured.
         name: the full name.
-        type_name: the service's type.
+        type_name: of the service or the action.
         handler: called by `at_once` threads at most.
         at_once: how many.
         report: takes changes of health.
@@ -283,25 +283,47 @@ class ServiceServer(Channel):
         report: Report,
     ) -> None:
         super().__init__(endpoint)
-        self._name, self._handler = name, handler
-        requests: ServedRequests[tuple[Any, Message]] = ServedRequests(
+        self._runner, self._name, self._handler = runner, name, handler
+        self.requests: ServedRequests[T] = ServedRequests(
             f"serving {name}", self._answer, self._refuse, at_once, partial(report, self)
         )
-        self.requests = requests
-        native: Any = import_type(type_name)
-        request, reply = service_records(native, type_name)
-        read = reader(request)
-        self._native = native
-        self._write = writer(reply)
-        self._reason = _reason_of(reply)
-        self._runner = runner
-        self._service = runner.server(
-            native, name, lambda asked, answer: requests.put((answer, read(asked)))
-        )
+        self._serve(type_name)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters of requests."""
         return self.requests.facts()
+
+    @abstractmethod
+    def _serve(self, type_name: str) -> None:
+        """Put requests from now on."""
+
+    @abstractmethod
+    def _answer(self, request: T) -> None:
+        """Handle a request."""
+
+    @abstractmethod
+    def _refuse(self, request: T, error: Exception) -> None:
+        """Refuse one that failed, or for which there is no room."""
+
+
+class ServiceServer(ServedFunction[tuple[Any, Message]]):
+    """A service offered to ROS.
+
+    When the handler fails, a reply type with a boolean `success` and a text `message` says so; any
+    other client is left without a reply, since ROS 2 has no other way to refuse, and the channel is
+    degraded. The same happens to requests for which there is no room.
+    """
+
+    def _serve(self, type_name: str) -> None:
+        native: Any = import_type(type_name)
+        request, reply = service_records(native, type_name)
+        read, put = reader(request), self.requests.put
+        self._native = native
+        self._write = writer(reply)
+        self._reason = _reason_of(reply)
+        self._service = self._runner.server(
+            native, self._name, lambda asked, answer: put((answer, read(asked)))
+        )
 
     def _close(self) -> None:
         self.requests.close()
