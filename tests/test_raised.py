@@ -22,6 +22,7 @@ from uoarm._raised import (
     LimitedLog,
     foreign,
     is_raised,
+    on_failure,
     sentence_of,
     text_of,
     writable,
@@ -282,3 +283,21 @@ def test_what_foreign_code_raises_is_written_within_bounds() -> None:
         if unbounded.search(path.read_text(encoding="utf-8"))
     ]
     assert not found
+
+
+@pytest.mark.parametrize("raised", [ValueError("no"), KeyboardInterrupt()], ids=repr)
+def test_what_was_begun_is_undone_whatever_ends_the_block(raised: BaseException) -> None:
+    undone: list[str] = []
+    with pytest.raises(type(raised)) as caught, on_failure(undone.append, "first"):
+        raise raised
+    assert (caught.value, undone) == (raised, ["first"])
+
+
+def test_what_was_begun_stays_where_the_block_ends_well() -> None:
+    undone: list[str] = []
+
+    def work() -> str:
+        with on_failure(undone.append, "first"):
+            return "done"
+
+    assert (work(), undone) == ("done", [])

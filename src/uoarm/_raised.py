@@ -184,6 +184,31 @@ def sentence_of(error: BaseException) -> str:
     return str(error) if isinstance(error, UoarmError) else text_of(error)
 
 
+class on_failure:  # noqa: N801 - read as a block's beginning, as those of contextlib are
+    """Undoes what was begun where its block does not end well, whatever ends it.
+
+        with on_failure(self.close):
+            self._wait()
+
+    Args:
+        undo: called with the other arguments.
+    """
+
+    __slots__ = ("_args", "_kwargs", "_undo")
+
+    def __init__(self, undo: Callable[P, object], /, *args: P.args, **kwargs: P.kwargs) -> None:
+        self._undo, self._args, self._kwargs = undo, args, kwargs
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
+    ) -> None:
+        if kind is not None:
+            self._undo(*self._args, **self._kwargs)
+
+
 class LimitedLog:
     """Writes the first of many like records, and then as many in ten seconds. Thread safe.
 

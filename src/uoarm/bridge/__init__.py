@@ -6,7 +6,7 @@ from uoarm._forks import at_exit, close_in_children
 from uoarm._interrupts import wait_step
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
-from uoarm._raised import LimitedLog, foreign, text_of
+from uoarm._raised import LimitedLog, foreign, on_failure, text_of
 from uoarm._spelling import did_you_mean
 from uoarm._support.workers import WorkerExecutor
 from uoarm.bridge._border import Delivery, reading_endpoint
@@ -98,6 +98,7 @@ __all__ = [
     "hookimpl",
     "install_command",
     "message_check",
+    "on_failure",
     "option",
     "options_table",
     "reading_endpoint",

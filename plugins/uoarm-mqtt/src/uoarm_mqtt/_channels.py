@@ -21,6 +21,7 @@ from uoarm.bridge import (
     ServiceStructures,
     Sink,
     Source,
+    on_failure,
     text_of,
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
@@ -62,11 +63,8 @@ class _Subscription:
             options.retain and not is_service,
             lambda cause: monitor.refused(cause, final=True),
         )
-        try:
+        with on_failure(self.queue.close):
             link.subscribe(self._receiver)
-        except BaseException:
-            self.queue.close()
-            raise
 
     def close(self) -> None:
         self._link.unsubscribe(self._receiver)

@@ -26,6 +26,7 @@ from uoarm.bridge import (
     LimitedLog,
     close_in_children,
     foreign,
+    on_failure,
     text_of,
     tls_fault,
 )
@@ -181,14 +182,11 @@ class BrokerConnection:
         self.require_up()
         with self._changed:
             qos = self._subscriptions.add(receiver)
-        try:
+        with on_failure(self.unsubscribe, receiver):
             what = f"subscribing to {receiver.topic}"
             self._wait("s", what, lambda: self._subscribe(receiver, qos))
             if settled:
                 self.barrier()
-        except BridgeError:
-            self.unsubscribe(receiver)
-            raise
 
     def unsubscribe(self, receiver: Receiver) -> None:
         """Give a receiver nothing more; returns at once."""

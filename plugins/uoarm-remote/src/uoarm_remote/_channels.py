@@ -10,7 +10,15 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, TypeAlias
 
-from uoarm.bridge import ChannelHealth, ChannelMonitor, Delivery, ReceiveQueue, Sink, Source
+from uoarm.bridge import (
+    ChannelHealth,
+    ChannelMonitor,
+    Delivery,
+    ReceiveQueue,
+    Sink,
+    Source,
+    on_failure,
+)
 from uoarm.client import RemoteRobot, RemoteStream
 from uoarm.errors import BridgeTimeoutError, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role, message_octets
@@ -78,11 +86,8 @@ class FunctionStreams:
         async def opening(robot: RemoteRobot) -> None:
             await self._open(robot, channel, way)
 
-        try:
+        with on_failure(self.close, channel):
             self._link.run(opening, timeout, f"Request {channel.key[0]}")
-        except BaseException:
-            self.close(channel)
-            raise
 
     def close(self, channel: FunctionSource | FunctionSink) -> None:
         """Let go of what a channel has open; waits for nothing."""
@@ -283,11 +288,8 @@ class FunctionSource(Source):
     def open(self, streams: FunctionStreams, timeout: float) -> None:
         """Open it; raises as `FunctionStreams.open`."""
         self._streams = streams
-        try:
+        with on_failure(self._queue.close):
             streams.open(self, timeout)
-        except BaseException:
-            self._queue.close()
-            raise
         self._link.join(self.health)
 
     def opened(self, stream: RemoteStream[Message], standing: tuple[Message, ...]) -> None:

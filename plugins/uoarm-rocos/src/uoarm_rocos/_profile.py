@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from attrs import frozen
 
-from uoarm.bridge import Delivery, Disconnection, HealthReason
+from uoarm.bridge import Delivery, Disconnection, HealthReason, on_failure
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UoarmError
 from uoarm.model import Health
 from uoarm_rocos._catalogue import (
@@ -451,11 +451,8 @@ class ProfileDevice(LineDevice):
             self._by_id[identity], flow.id = flow, identity
             flow.refused = self._conversation.refused
         api, way = flow.api.name, flow.direction
-        try:
+        with on_failure(self._answers.forget, identity):
             self._conversation.send(lambda seq: OpenMessage(seq, identity, api, way))
-        except UoarmError:
-            self._answers.forget(identity)
-            raise
         return answer
 
     def _open(self, flow: ProfileFlow, timeout: float) -> None:
@@ -464,16 +461,13 @@ class ProfileDevice(LineDevice):
         self._check_same(flow.api)
         what = f"opening {flow.direction.value} {flow.api.name} of {self.name}"
         refused = self._conversation.refused
-        try:
+        with on_failure(flow.close):
             answer = self._ask_for(flow, what)
             if not answer.wait(max(0.0, end - time.monotonic())):
                 text = f"{what}: no answer within {timeout:g} s"
                 raise BridgeTimeoutError(text + self._conversation.refused_since(refused))
             answer.value()
             flow.monitor.connected()
-        except BridgeError:
-            flow.close()
-            raise
 
     def _open_again(self, flow: ProfileFlow, found: dict[str, str]) -> None:
         if flow.api.name in found:

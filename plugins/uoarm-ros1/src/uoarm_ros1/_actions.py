@@ -12,7 +12,15 @@ from typing import Any
 
 from attrs import define, field
 
-from uoarm.bridge import Channel, Description, Handler, ServedRequests, did_you_mean, text_of
+from uoarm.bridge import (
+    Channel,
+    Description,
+    Handler,
+    ServedRequests,
+    did_you_mean,
+    on_failure,
+    text_of,
+)
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure
 from uoarm_ros1._definitions import RosRecord
@@ -148,13 +156,10 @@ class ActionCaller:
             self._went,
         )
         self._publications: list[TopicPublication] = []
-        try:
+        with on_failure(self.close):
             node.subscribe(self._subscription)
             self._publications.append(node.advertise(f"{name}/goal", kinds.goal))
             self._publications.append(node.advertise(f"{name}/cancel", cancel))
-        except BaseException:
-            self.close()
-            raise
 
     def call(
         self,
@@ -314,7 +319,7 @@ class ServedAction(Channel):
         self._publications: list[TopicPublication] = []
         self._subscriptions: list[TopicSubscription] = []
         self._stopped = threading.Event()
-        try:
+        with on_failure(self._close):
             for part, record in (("result", kinds.result), ("feedback", kinds.feedback)):
                 self._publications.append(node.advertise(f"{name}/{part}", record))
             self._publications.append(node.advertise(f"{name}/status", status, latch=1))
@@ -326,9 +331,6 @@ class ServedAction(Channel):
                 made = TopicSubscription(wanted, node.peers, take, _ignore_header, _ignore_end)
                 self._subscriptions.append(made)
                 node.subscribe(made)
-        except BaseException:
-            self._close()
-            raise
         threading.Thread(
             target=self._publish_status, name=f"uoarm-ros1-{name}-status", daemon=True
         ).start()

@@ -19,6 +19,7 @@ from uoarm.bridge import (
     Sink,
     Source,
     did_you_mean,
+    on_failure,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
@@ -104,11 +105,8 @@ class _Subscribed:
             BridgeError: no peer that is required is there, or the master is not.
         """
         self.place.node.subscribe(self.subscription)
-        try:
+        with on_failure(self.close):
             self._wait()
-        except BaseException:
-            self.close()
-            raise
 
     @property
     def publishers(self) -> list[str]:
@@ -213,11 +211,8 @@ class _Publishing:
         self.publication = node.advertise(place.topic, record, latch=int(port.latch), limits=limits)
         self._before = self.publication.lost
         self.publication.watchers = (*self.publication.watchers, self._watch)
-        try:
+        with on_failure(self.close):
             self._wait()
-        except BaseException:
-            self.close()
-            raise
 
     @property
     def lost(self) -> int:
@@ -338,11 +333,8 @@ class Relay(Channel):
 
         self._publishing = _Publishing(sink, record, say)
         self._subscribed = _Subscribed(source, record, self._take, say, in_runs=True)
-        try:
+        with on_failure(self._publishing.close):
             self._subscribed.open()
-        except BaseException:
-            self._publishing.close()
-            raise
 
     @property
     def is_silent(self) -> bool:
@@ -497,11 +489,8 @@ class Ros1ParameterSource(Source):
         self._last: Any = _ABSENT
         # Only the newest matter to who is slow.
         self._queue: ReceiveQueue[Any] = ReceiveQueue(f"uoarm-ros1-{self._name}", self._hand_on, 2)
-        try:
+        with on_failure(self._queue.close):
             value = node.watch_parameter(self._name, self._take)
-        except BaseException:
-            self._queue.close()
-            raise
         if value == _ABSENT:
             self._close()
             text = f"{endpoint}: the parameter {self._name} is not set"

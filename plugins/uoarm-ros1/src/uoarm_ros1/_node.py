@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeVar
 
 from attrs import evolve
 
+from uoarm.bridge import on_failure
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Health
 from uoarm_ros1._definitions import RosRecord
@@ -94,7 +95,7 @@ class Node:
         self._api = NodeApi(self.name, identity.master, os.getpid(), host)
         self._api.connections = self._connections
         self.loop = SocketLoop(f"uoarm-ros1{self.name}")
-        try:
+        with on_failure(self.loop.close):
             server = NodeServer(
                 self.loop,
                 address or "0.0.0.0",  # noqa: S104 - see above
@@ -102,9 +103,6 @@ class Node:
                 self._arrived,
                 self._look_at_parameter,
             )
-        except BaseException:
-            self.loop.close()
-            raise
         self._api.port = server.port
         at = f"[{host}]" if ":" in host else host
         self.uri = f"http://{at}:{server.api_port}/"
@@ -149,12 +147,9 @@ class Node:
                 made.registered = None  # of the first that opened it
                 self._publications[topic] = (made, users + 1)
                 return made
-        try:
+        with on_failure(self.withdraw, made):
             call = partial(self.master.register_publisher, topic, record.name)
             made.registered = len(self._register("publisher", topic, call))
-        except BaseException:
-            self.withdraw(made)
-            raise
         return made
 
     def withdraw(self, publication: TopicPublication) -> None:
@@ -198,12 +193,9 @@ class Node:
                 subscription.wanted = evolve(subscription.wanted, caller=self.another_name())
             self._subscriptions[topic] = (*before, subscription)
             self._api.subscriptions[topic] = kind or "*"
-        try:
+        with on_failure(self.unsubscribe, subscription):
             call = partial(self.master.register_subscriber, topic, kind)
             subscription.update(self._register("subscriber", topic, call))
-        except BaseException:
-            self.unsubscribe(subscription)
-            raise
 
     def unsubscribe(self, subscription: TopicSubscription) -> None:
         """Close a subscription."""
@@ -252,11 +244,8 @@ class Node:
                 text = f"service {service} is served here already"
                 raise BridgeError(text, FailureReason.REFUSED)
             self._services[service] = arrived
-        try:
+        with on_failure(self.unserve, service):
             self.register_service(service)
-        except BaseException:
-            self.unserve(service)
-            raise
 
     def register_service(self, service: str) -> None:
         """Have the master send clients of a service here, unless it is not served any more.
@@ -283,11 +272,8 @@ class Node:
         with self._lock:
             self._require_open()
             self._parameters[key] = (*self._parameters.get(key, ()), changed)
-        try:
+        with on_failure(self.unwatch_parameter, key, changed):
             return self._register("parameter", key, partial(self.master.watch_parameter, key))
-        except BaseException:
-            self.unwatch_parameter(key, changed)
-            raise
 
     def unwatch_parameter(self, key: str, changed: ParameterListener) -> None:
         """Have them reported no more."""

@@ -15,7 +15,7 @@ from contextlib import suppress
 from itertools import count
 from typing import Any
 
-from uoarm.bridge import LimitedLog, TurnCounter, Turns, close_in_children
+from uoarm.bridge import LimitedLog, TurnCounter, Turns, close_in_children, on_failure
 from uoarm.model import Budget
 from uoarm_ros1._tcpros import ProtocolError, TcprosReader, decode_header
 from uoarm_ros1._xmlrpc import Fault, HttpReader, decode_call, encode_reply, http_reply
@@ -448,8 +448,5 @@ class _Arriving(_UnidentifiedConnection):
         if not self._unidentified.leave(self):
             return
         self._loop.release(self)
-        try:
+        with on_failure(self.socket.close):
             self._arrived(self.socket, header)
-        except BaseException:
-            self.socket.close()
-            raise

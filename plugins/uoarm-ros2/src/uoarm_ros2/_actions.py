@@ -11,7 +11,7 @@ from uuid import uuid4
 
 from attrs import define, field
 
-from uoarm.bridge import HealthReason, Sink, Source
+from uoarm.bridge import HealthReason, Sink, Source, on_failure
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm_ros2._conversion import reader, writer
@@ -126,13 +126,10 @@ class Action:
             call_goal = _CallGoal(self._client, what)
             with cancelling(call_goal.cancel):
                 sent = call_goal.begin(goal)
-                try:
+                with on_failure(call_goal.cancel):
                     handle = answered(sent, deadline, there, what)
                     if handle.accepted:
                         reply = answered(handle.get_result_async(), deadline, there, what)
-                except BridgeError:
-                    call_goal.cancel()
-                    raise
             if not handle.accepted:
                 raise BridgeError(f"{what} rejected the goal", FailureReason.REFUSED)
         status = _STATUS.get(reply.status, "unknown")
@@ -159,13 +156,10 @@ class Action:
                 text = f"action {self.name} has {_MOST_GOALS} goals under way already"
                 raise BridgeError(text, FailureReason.REFUSED)
             self._goals[own.hex()] = goal
-        try:
+        with on_failure(self._forget, own.hex()):
             goal.sent = self._client.send_goal_async(
                 native, self._on_feedback, goal_uuid=self._new_id(uuid=list(own))
             )
-        except BaseException:
-            self._forget(own.hex())
-            raise
         goal.sent.add_done_callback(lambda sent: self._on_response(own.hex(), sent))
 
     def cancel(self, message: Message) -> None:

@@ -23,6 +23,7 @@ from uoarm.bridge import (
     ServiceStructures,
     Sink,
     Source,
+    on_failure,
 )
 from uoarm.cdr import Codec, definition_of
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -205,14 +206,11 @@ class Ros2Bridge(Bridge):
         self._participant = Participant(
             self._options.domain_id, self._options.namespace, self._options.shared_memory
         )
-        try:
+        with on_failure(self._participant.close, _CLOSE_SECONDS):
             self._runner = self._participant.start_node(options.node_name(name))
             self._clock = (
                 self._subscribe_to_clock() if self._options.use_sim_time else time.monotonic
             )
-        except BaseException:
-            self._participant.close(_CLOSE_SECONDS)
-            raise
         self._graph = Ros2Graph(self._runner, self._options.wait)
         self._types = TypeFinder(self._ask_for_description, self._runner.ends, defined)
         self._attendance = NodePresence(
@@ -475,11 +473,8 @@ class Ros2Bridge(Bridge):
     def _wait_for_peer(self, channel: Watched) -> Watched:
         """Wait for the other end; nothing stays open when it does not come."""
         self._watched[channel] = channel.tick
-        try:
+        with on_failure(channel.close):
             channel.wait()
-        except BaseException:
-            channel.close()
-            raise
         return channel
 
     def _mention_others(self, topic: Topic, endpoint: Endpoint) -> None:

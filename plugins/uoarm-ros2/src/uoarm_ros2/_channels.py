@@ -10,7 +10,7 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm.bridge import Channel, ChannelMonitor, Delivery, Sink, Source
+from uoarm.bridge import Channel, ChannelMonitor, Delivery, Sink, Source, on_failure
 from uoarm.cdr import forget_octets, note_octets
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Health, Message, OverflowPolicy, QueuePolicy
@@ -384,13 +384,10 @@ class SerialisedRelay(Channel):
             report(self, health, cause)
 
         self._out = PublisherSink(evolve(sink, report=report_half), bytes)
-        try:
+        with on_failure(self._out.close):
             self._into = SubscriptionSource(
                 evolve(source, report=report_half), bytes, self._out.send
             )
-        except BaseException:
-            self._out.close()
-            raise
 
     def wait(self) -> None:
         """Wait for the peers of both halves, for readers first so that no first message is lost.

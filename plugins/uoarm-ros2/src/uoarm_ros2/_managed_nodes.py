@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from attrs import define, evolve, field, frozen
 
-from uoarm.bridge import Channel, reading_endpoint
+from uoarm.bridge import Channel, on_failure, reading_endpoint
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
 from uoarm_ros2._discovery import Ros2Graph
@@ -363,11 +363,8 @@ class ManagedNode:
                 stop = self._access.listen(f"{self._name}/transition_event", self.hint)
                 name = f"ros2 {self._name}"
                 thread = threading.Thread(target=self._watch, args=(stop,), name=name, daemon=True)
-                try:
+                with on_failure(stop):  # the system gives no more threads
                     thread.start()
-                except RuntimeError:  # the system gives no more threads
-                    stop()
-                    raise
                 self._is_watched, self._thread = True, thread
 
     def _watch(self, stop: Callable[[], None]) -> None:

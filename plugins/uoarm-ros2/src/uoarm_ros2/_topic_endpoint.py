@@ -10,7 +10,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.bridge import Channel, ChannelMonitor, HealthReason
+from uoarm.bridge import Channel, ChannelMonitor, HealthReason, on_failure
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health
 from uoarm_ros2._diagnostics import DiagnosticsReader, EntryLease
@@ -110,11 +110,8 @@ class TopicEndpoint(ABC):
         self.departures = 0
         self.policies = self._fitting(self.peers())
         self._entry = context.entry()
-        try:
+        with on_failure(self._release_entry):
             self.native = self._create()
-        except BaseException:
-            self._release_entry()
-            raise
 
     @abstractmethod
     def graph_peers(self, topic: str) -> tuple[Peer, ...]:

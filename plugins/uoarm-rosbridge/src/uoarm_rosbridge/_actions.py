@@ -14,6 +14,7 @@ from typing import Any, Protocol, TypeAlias
 
 from attrs import frozen
 
+from uoarm.bridge import on_failure
 from uoarm.errors import (
     BridgeError,
     ControlMessageError,
@@ -87,7 +88,7 @@ class _Offer:
                 f"action {self.name!r} has the type {self.kind!r:.100}, not {goal.kind!r:.100}"
             )
         identity = self.hub.note(self, goal)
-        try:
+        with on_failure(self.hub.close_goal, identity):
             self.provider.send(
                 {
                     "op": "send_action_goal",
@@ -98,9 +99,6 @@ class _Offer:
                     "feedback": True,
                 }
             )
-        except BaseException:
-            self.hub.close_goal(identity)
-            raise
 
     def cancel(self, goal: Goal, done: Done) -> None:
         """Ask the provider to end a goal."""
@@ -288,11 +286,8 @@ class Actions:
         runner = self._runner(place)
         charge = self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
         sent = self._sent[identity] = _Sent(place, self._goal(identity, fields), runner, charge)
-        try:
+        with on_failure(self._forget, identity):
             runner.start(sent.goal)
-        except BaseException:
-            self._forget(identity)
-            raise
 
     def cancel_goal(self, fields: Fields) -> None:
         """Ask for a goal's end; its result says what became of it."""

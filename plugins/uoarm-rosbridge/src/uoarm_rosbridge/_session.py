@@ -12,7 +12,7 @@ from typing import Any
 import orjson
 from attrs import define, field, frozen
 
-from uoarm.bridge import LimitedLog
+from uoarm.bridge import LimitedLog, on_failure
 from uoarm.errors import BridgeError, ControlMessageError, UsageError
 from uoarm.model import BudgetUse, Message, Op, Role, message_octets, show_value
 from uoarm.server.front_end import (
@@ -336,11 +336,8 @@ class RosbridgeSession:
             self._begin(fields, later)
 
     def _begin(self, fields: Mapping[str, Any], work: Coroutine[Any, Any, None]) -> None:
-        try:
+        with on_failure(work.close):
             charge = self._admit()
-        except BaseException:
-            work.close()
-            raise
         task = asyncio.ensure_future(self._finish(fields, work))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)

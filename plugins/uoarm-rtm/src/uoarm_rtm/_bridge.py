@@ -22,6 +22,7 @@ from uoarm.bridge import (
     Sink,
     Source,
     at_exit,
+    on_failure,
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Message, MessageStructure, Role
@@ -87,14 +88,11 @@ class RtmBridge(Bridge):
         self._types = Types(options.idl_sources, options.text, options.idl_folder)
         seconds = options.call_seconds
         self._orb = Orb(options.address, seconds, int(options.max_message))
-        try:
+        with on_failure(self._orb.close):  # a bridge that was never made is never closed
             self._services = [
                 NamingService(self._orb, nameserver, seconds)
                 for nameserver in self._options.nameservers
             ]
-        except ValueError:
-            self._orb.close()  # a bridge that was never made is never closed
-            raise
         self._directory = Directory(self._services, seconds)
         self._connections = Connections(self._orb, self._component, seconds)
         # Guards the callers, our own component and what is watched: calls, openings, closings and
@@ -328,11 +326,8 @@ class RtmBridge(Bridge):
     def _supervise(self, channel: Channel, ports: Sequence[WatchedPort]) -> None:
         """Have a channel's ports watched, and its components activated when that is asked."""
         for port in ports:
-            try:
+            with on_failure(channel.close):
                 self._active.enter(channel, port.remote.peer, port.remote.options)
-            except BridgeError:
-                channel.close()
-                raise
         components = []
         for port in ports:
             key = self._orb.text(port.remote.peer.reference)  # one that came back is another
@@ -362,13 +357,9 @@ class RtmBridge(Bridge):
                 return self._own
             name, seconds = self._component, self._options.call_seconds
             made = OwnComponent(self._orb, name, self._services, self._types, seconds, self.report)
-            try:
-                with self._guard:
-                    self._require_open()
-                    self._own = made
-            except BridgeError:
-                made.close()
-                raise
+            with on_failure(made.close), self._guard:
+                self._require_open()
+                self._own = made
             return made
 
     def _checks(self) -> list[Check]:

@@ -14,7 +14,7 @@ from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
 from attrs import evolve
 from omniORB import CORBA
 
-from uoarm.bridge import Channel, Delivery, Sink, Source
+from uoarm.bridge import Channel, Delivery, Sink, Source, on_failure
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Message, Role
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
@@ -105,13 +105,10 @@ def _reached(
 ) -> Any:
     """Return the object that a port published; without it nothing stays connected."""
     ior = connector.published(key)
-    try:
+    with on_failure(connector.disconnect):
         what = f"{remote.where}: its {interface.__name__}"
         target = narrowed(remote.orb.reference(ior), interface, remote.seconds, what)
         return limit(target, seconds)
-    except BridgeError:
-        connector.disconnect()
-        raise
 
 
 class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, without annotations
@@ -151,13 +148,10 @@ class OutPortSource(Source):
         properties = connector_properties(remote.options, remote.codec.name)
         if self._inlet is not None:
             properties[INPORT_IOR] = remote.orb.text(self._inlet)
-        try:
+        with on_failure(self._withdraw):
             self._connector = remote.connections.connect(remote.where, properties, remote.port)
             if self._inlet is None:
                 self._begin_pulling()
-        except BaseException:
-            self._withdraw()
-            raise
 
     def receive(self, data: bytes) -> Any:
         """Decode and deliver one message; returns the status to answer."""
@@ -199,7 +193,7 @@ class OutPortSource(Source):
         requested = remote.options.requested_properties
         self._longest += buffer_policy(requested, "outport").longest_read
         target = _reached(remote, self._connector, OUTPORT_IOR, OpenRTM.OutPortCdr, self._longest)
-        try:
+        with on_failure(self._connector.disconnect):  # the system gives no more threads
             self._puller = Puller(
                 target,
                 remote.options.rate,
@@ -208,9 +202,6 @@ class OutPortSource(Source):
                 lost=self._lost,
                 missed=self._missed,
             )
-        except BaseException:  # the system gives no more threads
-            self._connector.disconnect()
-            raise
 
     def _missed(self, error: CORBA.Exception) -> None:
         text = (
@@ -272,14 +263,11 @@ class InPortSink(Sink):
         elif remote.options.subscription != "flush":  # before there is a connection: it may fail
             push, period = push_policy(requested), remote.options.period
             self._buffer = ThreadedPusher(self._push, self._policy, push, period)
-        try:
+        with on_failure(self._withdraw):
             self._connector = remote.connections.connect(remote.where, properties, remote.port)
             if not pulls:
                 inlet = INPORT_IOR, OpenRTM.InPortCdr
                 self._target = _reached(remote, self._connector, *inlet, self._longest)
-        except BaseException:
-            self._withdraw()
-            raise
         self.blocking = self._buffer is None or self._policy.full == "block"
 
     def _send(self, message: Message) -> None:

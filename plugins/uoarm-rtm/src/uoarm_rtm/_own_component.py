@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 
-from uoarm.bridge import Channel, Sink, Source
+from uoarm.bridge import Channel, Sink, Source, on_failure
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm_rtm._descriptors import IdlInterface
@@ -102,11 +102,8 @@ class OwnComponent:
         self._closed = False
         self.component = RtComponent(orb, ComponentProfile(name), seconds=seconds)
         self.component.lifecycle.activate()
-        try:
+        with on_failure(self.component.close):
             self._bind()
-        except BaseException:
-            self.component.close()
-            raise
 
     def source(self, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver) -> Source:
         """Open an InPort of ours."""

@@ -15,7 +15,7 @@ from _uoarm_rtm_stubs import RTC
 from attrs import define, field
 from omniORB import CORBA
 
-from uoarm.bridge import Channel, Description, LimitedLog, foreign, text_of
+from uoarm.bridge import Channel, Description, LimitedLog, foreign, on_failure, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message, MessageStructure
 from uoarm_rtm._descriptors import RETURN, IdlInterface, IdlOperation
@@ -197,12 +197,9 @@ class OperationCaller:
                 names = f"{self._offer.type}.{self._offer.name}"
                 long = f"{self._peer.instance}.port.{self._port.name}.provided.{names}"
                 ior = connector.published(long, f"port.{names}")
-                try:
+                with on_failure(connector.disconnect):
                     reference = self._orb.reference(ior)
                     narrowed(reference, self._interface.stub, self._seconds, self._where)
-                except BridgeError:
-                    connector.disconnect()
-                    raise
                 self._connector, self._reference = connector, ior
             reached = self._orb.reference(self._reference)
             narrow = reached._unchecked_narrow(self._interface.stub)  # noqa: SLF001 - of CORBA's API
@@ -313,11 +310,8 @@ class ServicePortChannel(Channel):
         # The first is the key that 2.x asks for, the second that of 1.x.
         keys = {f"{peer.instance}.port.{port.name}.required.{names}": ior, f"port.{names}": ior}
         where = f"port {port.name!r} of component {peer.path!r}"
-        try:
+        with on_failure(orb.withdraw, self._reference):
             self._connector = connections.connect(where, keys, port)
-        except BaseException:
-            orb.withdraw(self._reference)
-            raise
 
     def _close(self) -> None:
         self._orb.withdraw(self._reference)

@@ -18,12 +18,13 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 
 from typing_extensions import Self
 
+from uoarm.bridge import on_failure
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._compiler import omniorb_programs
 
@@ -78,8 +79,7 @@ class NameServer:
         kept = folder if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
         self._own = None if folder is not None else kept
         tries = 1 if port else _TRIES
-        with ExitStack() as failing:
-            failing.callback(self._forget)
+        with on_failure(self._forget):
             for left in reversed(range(tries)):
                 self.port = port or _free_port(address)
                 ended = "another naming service is there"
@@ -92,7 +92,6 @@ class NameServer:
                 if not left:  # else another program took the port meanwhile: try the next
                     text = f"{ended}: is port {self.port} in use, the folder writable?"
                     raise BridgeError(text, FailureReason.UNAVAILABLE)
-            failing.pop_all()
         self.address = f"corbaloc:iiop:{address}:{self.port}/NameService"
 
     def close(self) -> None:
@@ -168,11 +167,9 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 def _serves_soon(process: subprocess.Popen[bytes], address: str, port: int) -> bool:
     """Wait until it serves; False: it has ended. Ends it on any error."""
     deadline = time.monotonic() + _START_SECONDS
-    with ExitStack() as failing:
-        failing.callback(_end, process)
+    with on_failure(_end, process):
         while process.poll() is None:
             if _is_served(address, port):
-                failing.pop_all()
                 return process.poll() is None
             if time.monotonic() > deadline:
                 text = f"omniNames did not serve on {address}:{port} within 10 s"

@@ -14,7 +14,15 @@ from typing import Any
 from attrs import asdict, frozen
 from uoarm_mqtt.connection import BrokerConnection, ReceivedMessage, Receiver
 
-from uoarm.bridge import ChannelHealth, ChannelReport, Delivery, ReceiveQueue, Sink, Source
+from uoarm.bridge import (
+    ChannelHealth,
+    ChannelReport,
+    Delivery,
+    ReceiveQueue,
+    Sink,
+    Source,
+    on_failure,
+)
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message
 from uoarm_vda5050._messages import HEADER_IDS, VdaCodec
@@ -76,11 +84,8 @@ class VehicleFollower:
 
     def open(self) -> None:
         """Subscribe to its states."""
-        try:
+        with on_failure(self._inbox.close):
             self._link.subscribe(self._receiver)
-        except BaseException:
-            self._inbox.close()
-            raise
 
     def close(self) -> None:
         """Follow no more; nothing is sent."""

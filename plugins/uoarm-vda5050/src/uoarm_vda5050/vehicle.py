@@ -26,6 +26,7 @@ from uoarm_mqtt.connection import (
     connection_options,
 )
 
+from uoarm.bridge import on_failure
 from uoarm.errors import BridgeError, ConfigurationError, MessageError
 from uoarm.model import Health
 from uoarm_vda5050._messages import Headers, VdaCodec, check_of
@@ -128,11 +129,8 @@ class Vehicle:
         self._broker.close()
 
     def __enter__(self) -> Self:
-        try:
+        with on_failure(self.close):  # or it would go on trying, and come later
             self.open()
-        except BaseException:  # or it would go on trying, and come later
-            self.close()
-            raise
         return self
 
     def __exit__(self, *_: object) -> None:

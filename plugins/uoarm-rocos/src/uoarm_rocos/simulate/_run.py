@@ -17,6 +17,7 @@ from typing import Protocol
 
 from attrs import frozen
 
+from uoarm.bridge import on_failure
 from uoarm.errors import BridgeError, ListenError
 
 _MOST = 65_536
@@ -78,11 +79,8 @@ class PtyEnd(LineEnd):
         self._line = line  # kept open, so that the host may come and go
         path = os.ttyname(line)
         if self._link:
-            try:
+            with on_failure(self._shut):
                 self._point(path)
-            except OSError:
-                self._shut()
-                raise
         self.where = self._link or path
 
     def _point(self, path: str) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import rclpy
 from rclpy.context import Context
 
-from uoarm.bridge import Turns, at_exit
+from uoarm.bridge import Turns, at_exit, on_failure
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._installed import installation, wheels
 from uoarm_ros2._middleware._node_runner import NodeRunner
@@ -75,20 +75,12 @@ class Participant:
         with self._lock:
             self._require_open()
             self._alive += 1
-        try:
-            with _transports(self._shared_memory):
-                runner = NodeRunner(self._context, name, self._namespace, self._release)
-        except BaseException:
-            self._release()
-            raise
-        try:
-            with self._lock:
-                self._require_open()
-                self._runners.append(runner)
-                self._names.add(runner.node.get_fully_qualified_name())
-        except BaseException:
-            runner.stop(0.0)
-            raise
+        with on_failure(self._release), _transports(self._shared_memory):
+            runner = NodeRunner(self._context, name, self._namespace, self._release)
+        with on_failure(runner.stop, 0.0), self._lock:
+            self._require_open()
+            self._runners.append(runner)
+            self._names.add(runner.node.get_fully_qualified_name())
         return runner
 
     def _require_open(self) -> None:

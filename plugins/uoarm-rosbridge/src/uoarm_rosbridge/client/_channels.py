@@ -20,6 +20,7 @@ from uoarm.bridge import (
     ReceiveQueue,
     Sink,
     Source,
+    on_failure,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Health, Message
@@ -75,16 +76,13 @@ class TopicSource(Source):
             "throttle_rate": port.throttle, "queue_length": 0,
             "compression": compression_for(made, port.compression or options.compression),
         }  # fmt: skip
-        try:
+        with on_failure(self._close):
             # Where another source has the topic already, messages come as that has asked for.
             fields = connection.subscribe(fields, self._take)
             is_raw = fields["compression"] == "cbor-raw"
             self._read = raw_reader(made, options.budget) if is_raw else reader(made)
             self._is_readable.set()
             connection.settle()
-        except BaseException:
-            self._close()
-            raise
 
     @property
     def topic(self) -> str:
@@ -158,7 +156,7 @@ class TopicSink(Sink):
         self.health = monitored(self, topic, port, report)
         self._identity = connection.new_id("advertise")
         connection.on_status(self._identity, self._status)
-        try:
+        with on_failure(self._close):
             connection.stand(
                 {
                     "op": "advertise",
@@ -170,9 +168,6 @@ class TopicSink(Sink):
                 }
             )
             connection.settle()
-        except BaseException:
-            self._close()
-            raise
         if self._refused:
             text = f"{endpoint}: the server refuses to have {topic} advertised: {self._why}"
             self._close()

@@ -12,6 +12,7 @@ from typing import Any
 
 from attrs import define, field
 
+from uoarm.bridge import on_failure
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message
 from uoarm_rosbridge.client._connection import ServerConnection
@@ -145,7 +146,7 @@ class ActionlibCaller:
             (connection.new_id("advertise"), f"{name}/{part}", kind.name)
             for part, kind in (("goal", types.goal), ("cancel", types.cancel))
         ]
-        try:
+        with on_failure(self.close):
             for part, kind, take in (
                 ("result", types.result, self._take_result),
                 ("status", types.status, self._take_status),
@@ -160,9 +161,6 @@ class ActionlibCaller:
                 fields = {"op": "advertise", "id": identity, "topic": topic, "type": kind_name}
                 connection.stand(fields)
             connection.settle()
-        except BaseException:
-            self.close()
-            raise
 
     def call(
         self, endpoint: Endpoint, message: Message, timeout: float, cancelling: Cancelling

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from attrs import define
 
-from uoarm.bridge import Channel, Handler, ServedRequests, text_of
+from uoarm.bridge import Channel, Handler, ServedRequests, on_failure, text_of
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Message
 from uoarm_rosbridge.client._channels import Report, plain
@@ -72,14 +72,11 @@ class _Served(Channel):
             raise BridgeError(f"{endpoint}: it is served here already", FailureReason.REFUSED)
         connection.serving[key] = self._take
         connection.on_status(self._identity, self._status)
-        try:
+        with on_failure(self._close):
             operation = f"advertise_{self.what}"
             fields = {"op": operation, "id": self._identity, self.what: name, "type": kind}
             connection.stand(fields)
             connection.settle()
-        except BaseException:
-            self._close()
-            raise
         if self._why:
             self._close()
             text = f"{endpoint}: the server refuses to have it served: {self._why}"
