@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any, NoReturn
 
 from attrs import evolve
@@ -173,8 +174,6 @@ class MqttBridge(Bridge):
             return None
         for role in (Role.OUTPUT, Role.SERVICE):
             endpoint = Endpoint(self.name, topic, role, (topic,))
-            try:
+            with suppress(BridgeError):
                 return Discovered(topic, ((endpoint, self._description(endpoint, TopicOptions())),))
-            except BridgeError:
-                continue
         return None

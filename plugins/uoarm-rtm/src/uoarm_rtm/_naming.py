@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -202,12 +203,10 @@ class NamingService:
             if binding.binding_type == CosNaming.nobject:
                 found.append(Name(path_of(list(name)), limit(reference, self._seconds)))
                 continue
-            try:
+            with suppress(BridgeError):  # a context of another naming service, which may be gone
                 what = f"{self._what}: context {path_of(list(name))!r}"
                 inner = narrowed(reference, CosNaming.NamingContext, self._seconds, what)
                 self._walk(inner, name, found, seen)
-            except BridgeError:
-                continue  # a context of another naming service, which may be gone
 
     def _bindings(self, context: Any) -> list[Any]:
         with corba_errors(f"{self._what}: listing names"):

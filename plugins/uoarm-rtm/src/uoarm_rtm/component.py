@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from _uoarm_rtm_stubs import RTC, OpenRTM__POA, SDOPackage
@@ -168,10 +169,8 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
     def close(self) -> None:
         """Disappear: from naming services, then from connectors, then altogether."""
         for service, path in self._bound:
-            try:
+            with suppress(Exception):  # a service that is gone has forgotten us
                 service.unbind(path, self.reference)
-            except Exception:  # noqa: BLE001, S112 - a service that is gone has forgotten us
-                continue
         for port in list(self._ports):
             self.remove_port(port)
         self._context.close()

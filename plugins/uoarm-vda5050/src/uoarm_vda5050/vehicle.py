@@ -12,6 +12,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -275,11 +276,9 @@ class Vehicle:
         self._publish("factsheet", self._factsheet, retain=True)
 
     def _publish(self, topic: str, body: dict[str, Any], *, retain: bool = False) -> None:
-        try:
+        with suppress(BridgeError):  # the broker is away: the next state says it all
             payload = self._codecs[topic].encode(body)
             self._broker.publish(f"{self._topic}/{topic}", payload, qos=0, retain=retain)
-        except BridgeError:
-            return  # the broker is away: the next state says it all
 
     def _codec(self, topic: str) -> VdaCodec:
         body = body_of(topic, self._release.name)
