@@ -202,6 +202,7 @@ _WORDS = 200
 _read = partial(read_message, TEXT_FORM)
 
 
+@define(eq=False)
 class AgentActions:
     """What one agent does and asks approval for, in the server's loop.
 
@@ -215,21 +216,12 @@ class AgentActions:
         goals: what it began.
     """
 
-    def __init__(
-        self,
-        client: StatelessClient,
-        backend: Backend,
-        kept: KeptValues,
-        streams: AgentStreams,
-        goals: AgentGoals,
-    ) -> None:
-        self._client = client
-        self._backend = backend
-        self._kept = kept
-        self._streams = streams
-        self._goals = goals
-        self._approvals = backend.approvals
-        self._cancelling: set[asyncio.Future[bool]] = set()
+    _client: StatelessClient
+    _backend: Backend
+    _kept: KeptValues
+    _streams: AgentStreams
+    _goals: AgentGoals
+    _cancelling: set[asyncio.Future[bool]] = field(factory=set, init=False)
 
     @property
     def _view(self) -> RoleView:
@@ -246,7 +238,7 @@ class AgentActions:
             if not handle:
                 return succeeded(self.ask(made, request))
             self._goals.check_room()  # or the approval would be spent on nothing
-            approval = self._approvals.use(handle, request)
+            approval = self._backend.approvals.use(handle, request)
             goal_handle = handle if approval.uses == 1 else f"{handle}-{approval.uses}"
         elif handle:
             raise UsageError(f"{APPROVAL}: it needs no approval; leave it out")
@@ -424,7 +416,7 @@ class AgentActions:
 
     def reason(self, made: FunctionTool) -> str:
         """Return why it needs an approval now, whatever the catalogue says."""
-        return self._approvals.supervision.reason(made.operation, made.function)
+        return self._backend.approvals.supervision.reason(made.operation, made.function)
 
     def request(
         self, made: FunctionTool, message: Message, plan: Plan, revision: int
@@ -443,11 +435,11 @@ class AgentActions:
         """Ask for an approval; returns how it stands, as data."""
         description = self._backend.robot.config.functions[made.function].description
         preview = f"{description or made.function}; {self.reason(made)}"
-        approval = self._approvals.ask(evolve(request, preview=preview[:_WORDS]))
+        approval = self._backend.approvals.ask(evolve(request, preview=preview[:_WORDS]))
         return {
             "state": "approval-needed",
             "handle": approval.id,
-            "approval": show_approval(self._approvals, approval, self._view),
+            "approval": show_approval(self._backend.approvals, approval, self._view),
             "next": (
                 f"another person than {self._client.principal} decides about it; then call "
                 f"{made.tool.name} again with the same arguments and {APPROVAL} {approval.id}"

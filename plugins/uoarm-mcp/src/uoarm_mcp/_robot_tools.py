@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from functools import cache, partial
 from typing import Any
 
-from attrs import evolve
+from attrs import define, evolve, field
 from jsonschema import Draft202012Validator
 
 from uoarm.errors import ResolutionError, UoarmError, UsageError
@@ -47,6 +47,10 @@ _KINDS = {
 }
 
 
+_Tool = Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]
+
+
+@define(eq=False)
 class RobotTools:
     """These tools for one agent, in the server's loop.
 
@@ -61,28 +65,20 @@ class RobotTools:
         goals: what it began.
     """
 
-    def __init__(
-        self,
-        client: StatelessClient,
-        backend: Backend,
-        catalogues: CatalogueMaker,
-        discoveries: Discoveries,
-        actions: AgentActions,
-        kept: KeptValues,
-        streams: AgentStreams,
-        goals: AgentGoals,
-    ) -> None:
-        self._client = client
-        self._backend = backend
-        self._catalogues = catalogues
-        self._discoveries = discoveries
-        self._actions = actions
-        self._kept = kept
-        self._streams = streams
-        self._goals = goals
-        self._approvals = backend.approvals
-        self._decided: dict[str, asyncio.Event] = {}
-        self._tools: Mapping[str, Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]] = {
+    _client: StatelessClient
+    _backend: Backend
+    _catalogues: CatalogueMaker
+    _discoveries: Discoveries
+    _actions: AgentActions
+    _kept: KeptValues
+    _streams: AgentStreams
+    _goals: AgentGoals
+    _decided: dict[str, asyncio.Event] = field(factory=dict, init=False)
+    _tools: Mapping[str, _Tool] = field(init=False)
+
+    def __attrs_post_init__(self) -> None:
+        """Look at approvals from now on."""
+        self._tools = {
             "plan": self._plan,
             "status": self._status,
             "explain_failure": self._explain,
@@ -92,11 +88,11 @@ class RobotTools:
             "wait": self._wait,
             "cancel": self._cancel,
         }
-        self._approvals.watch(self._changed)
+        self._backend.approvals.watch(self._changed)
 
     def close(self) -> None:
         """Look at approvals no more."""
-        self._approvals.unwatch(self._changed)
+        self._backend.approvals.unwatch(self._changed)
 
     def __contains__(self, name: str) -> bool:
         return name in self._tools
@@ -201,8 +197,8 @@ class RobotTools:
         )
         functions = self._backend.robot.config.functions
         approvals = [
-            show_approval(self._approvals, approval, view)
-            for approval in self._approvals.asked_by(self._client.principal)
+            show_approval(self._backend.approvals, approval, view)
+            for approval in self._backend.approvals.asked_by(self._client.principal)
         ]
         warnings = []
         if self._client.principal == "local":
@@ -314,13 +310,13 @@ class RobotTools:
                 if last is goal.feedback:
                     goal.shown = shown
             return {**goal.facts(), "feedback": shown.value}
-        approval = self._approvals.find(handle, self._client.principal)
+        approval = self._backend.approvals.find(handle, self._client.principal)
         if approval is None:
             raise UnknownError(f"there is no goal and no approval {handle!r:.64} of this agent")
         return {
             "state": approval.phase.value,
             "handle": handle,
-            "approval": show_approval(self._approvals, approval, self._view),
+            "approval": show_approval(self._backend.approvals, approval, self._view),
         }
 
     async def _wait(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -328,7 +324,7 @@ class RobotTools:
         if self._goals.knows(handle):
             await within(seconds, self._goals.find(handle).done)
         else:
-            approval = self._approvals.find(handle, self._client.principal)
+            approval = self._backend.approvals.find(handle, self._client.principal)
             if approval is not None and approval.phase is ApprovalPhase.PENDING:
                 await within(seconds, self._decided.setdefault(handle, asyncio.Event()))
         return await self._goal_status(arguments)

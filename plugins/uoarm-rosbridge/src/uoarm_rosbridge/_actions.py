@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Protocol, TypeAlias
 
-from attrs import frozen
+from attrs import define, field, frozen
 
 from uoarm.bridge import on_failure
 from uoarm.errors import (
@@ -242,6 +242,7 @@ class _Sent:
     charge: Charge
 
 
+@define(eq=False)
 class Actions:
     """Goals of one client by id, in the loop's thread.
 
@@ -253,26 +254,18 @@ class Actions:
         backend: where functions are opened.
         hub: where clients meet.
         fail: reports to the client what went wrong with a message of its.
-        ask: sends another client's request; raises BusyError where it leaves too much unread.
+        send: sends another client's request; raises BusyError where it leaves too much unread.
     """
 
-    def __init__(
-        self,
-        client: Client,
-        backend: Backend,
-        hub: ActionHub,
-        fail: Callable[[Fields, BaseException], None],
-        ask: Callable[[Fields], None],
-    ) -> None:
-        self._client = client
-        self._backend = backend
-        self._hub = hub
-        self._fail = fail
-        self.send = ask
-        self._sent: dict[Identity, _Sent] = {}
-        self._joined: set[str] = set()
-        self._offered: set[str] = set()
-        self._numbers = itertools.count(1)
+    _client: Client
+    _backend: Backend
+    _hub: ActionHub
+    _fail: Callable[[Fields, BaseException], None]
+    send: Callable[[Fields], None]
+    _sent: dict[Identity, _Sent] = field(factory=dict, init=False)
+    _joined: set[str] = field(factory=set, init=False)
+    _offered: set[str] = field(factory=set, init=False)
+    _numbers: itertools.count[int] = field(factory=lambda: itertools.count(1), init=False)
 
     def send_goal(self, fields: Fields) -> None:
         """Begin with a goal; feedback and result come with its id."""

@@ -327,6 +327,7 @@ class _WatchedService:
         self.owner.read(self)
 
 
+@define(eq=False)
 class DirectoryMonitor:
     """Which components are there, compared with before. Each is looked at on its own.
 
@@ -337,25 +338,23 @@ class DirectoryMonitor:
         follow: has a check made next.
     """
 
-    def __init__(
-        self,
-        directory: Directory,
-        report: Callable[..., None],
-        own: str,
-        follow: Callable[[Check], None],
-    ) -> None:
-        self._directory = directory
-        self._report = report
-        self._own = own
-        self._follow = follow
-        self._services = [_WatchedService(self, service) for service in directory.services]
-        # Guards all below, the names of each service, and the conditions of names, from checks in
-        # other threads. Never held while a component is called, nor while something is reported:
-        # one thread at a time reports, so that nothing is overtaken by what was true before it.
-        self._guard = threading.Lock()
-        self._names: dict[str, _WatchedName] | None = None
-        self._is_unreachable = self._is_reporting = False
-        self._waiting: deque[tuple[Health, str, str]] = deque()
+    _directory: Directory
+    _report: Callable[..., None]
+    _own: str
+    _follow: Callable[[Check], None]
+    _services: list[_WatchedService] = field(init=False)
+    # Guards all below, the names of each service, and the conditions of names, from checks in
+    # other threads. Never held while a component is called, nor while something is reported:
+    # one thread at a time reports, so that nothing is overtaken by what was true before it.
+    _guard: threading.Lock = field(factory=threading.Lock, init=False)
+    _names: dict[str, _WatchedName] | None = field(default=None, init=False)
+    _is_unreachable: bool = field(default=False, init=False)
+    _is_reporting: bool = field(default=False, init=False)
+    _waiting: deque[tuple[Health, str, str]] = field(factory=deque, init=False)
+
+    @_services.default
+    def _all_services(self) -> list[_WatchedService]:
+        return [_WatchedService(self, service) for service in self._directory.services]
 
     def checks(self) -> list[Check]:
         """Return the checks of a round: each naming service, and each name that is known."""
