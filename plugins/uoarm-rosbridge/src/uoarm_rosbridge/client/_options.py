@@ -8,6 +8,7 @@ import re
 import ssl
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -205,7 +206,9 @@ class ServerAccess:
         return cls(
             (options.tls or TlsOptions()).context(name) if options.is_secure else None,
             headers,
-            None if auth is None else _Authentication(_secret(name, auth.secret_file), auth),
+            None
+            if auth is None
+            else partial(_authentication, _secret(name, auth.secret_file), auth),
         )
 
 
@@ -219,23 +222,17 @@ def _secret(name: str, path: str) -> str:
     return text
 
 
-class _Authentication:
-    """Makes the operation `auth` of rosauth, anew for each connection."""
-
-    def __init__(self, secret: str, given: AuthenticationOptions) -> None:
-        self._secret, self._given = secret, given
-
-    def __call__(self) -> dict[str, object]:
-        """Return it, good for a minute."""
-        now, given = int(time.time()), self._given
-        rand, end = os.urandom(16).hex(), now + 60
-        client, dest, level = given.client, given.dest, given.level
-        text = f"{self._secret}{client}{dest}{rand}{now}{level}{end}"
-        mac = hashlib.sha512(text.encode()).hexdigest()
-        return {
-            "op": "auth", "mac": mac, "client": client, "dest": dest, "rand": rand, "t": now,
-            "level": level, "end": end,
-        }  # fmt: skip
+def _authentication(secret: str, given: AuthenticationOptions) -> dict[str, object]:
+    """Return the operation `auth` of rosauth, good for a minute."""
+    now = int(time.time())
+    rand, end = os.urandom(16).hex(), now + 60
+    client, dest, level = given.client, given.dest, given.level
+    text = f"{secret}{client}{dest}{rand}{now}{level}{end}"
+    mac = hashlib.sha512(text.encode()).hexdigest()
+    return {
+        "op": "auth", "mac": mac, "client": client, "dest": dest, "rand": rand, "t": now,
+        "level": level, "end": end,
+    }  # fmt: skip
 
 
 def address_of(endpoint: Endpoint) -> Address:
