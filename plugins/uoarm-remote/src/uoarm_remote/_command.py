@@ -236,6 +236,9 @@ class Browser:
     Args:
         interfaces: addresses of interfaces to listen on; None: all that have one of IPv4.
 
+    Attributes:
+        is_full: whether more were announced than are listed.
+
     Raises:
         PluginError: the extra `zeroconf` is not installed.
         BridgeError: the network cannot be listened to.
@@ -257,7 +260,7 @@ class Browser:
         self._names: dict[str, None] = {}
         self._looking: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()  # of the network's loop, and for it alone
-        self._is_full = False
+        self.is_full = False
         try:
             self._network = Zeroconf(
                 interfaces=InterfaceChoice.All if interfaces is None else list(interfaces)
@@ -279,11 +282,6 @@ class Browser:
             with suppress(TimeoutError, futures.TimeoutError):
                 asyncio.run_coroutine_threadsafe(self._end_looks(), loop).result(_END_SECONDS)
         self._network.close()
-
-    @property
-    def is_full(self) -> bool:
-        """Whether more were announced than are listed."""
-        return self._is_full
 
     def found(self) -> list[AnnouncedManager]:
         """Return what is known now, by name; ask once more for what is not. Does not block."""
@@ -317,7 +315,7 @@ class Browser:
                 self._names.pop(name, None)
                 return
             if name not in self._names and len(self._names) >= MOST:
-                self._is_full = True
+                self.is_full = True
                 return
             self._names[name] = None
         self._start_look(name)

@@ -85,6 +85,7 @@ class Conversation:
         line: set by the owner before the line starts.
         ids: where ids of conversations come from.
         octets: of the message that the listener is given.
+        refused: how many messages of the device could not be read.
     """
 
     line: DeviceLine
@@ -105,7 +106,7 @@ class Conversation:
         self._framer = wire.framer()
         self._incoming = SequenceCheck()
         self._watch = HeartbeatWatch(_FIRST_HEARTBEAT, 0.0, 0.0)
-        self._refused = self._refused_before = 0
+        self.refused = self._refused_before = 0
         self._why = ""
         self.octets = 0
         self._lost_before = self._damaged_before = 0
@@ -144,14 +145,9 @@ class Conversation:
         finally:
             self._sending.release()
 
-    @property
-    def refused(self) -> int:
-        """How many messages of the device could not be read."""
-        return self._refused
-
     def refused_since(self, count: int) -> str:
         """Say what came since there were so many that could not be read, to end a sentence."""
-        more = self._refused - count
+        more = self.refused - count
         if more <= 0:
             return ""
         came = "a message came" if more == 1 else f"{more:,} messages came"
@@ -169,7 +165,7 @@ class Conversation:
         return {
             "lost": self._lost_before + self._incoming.lost,
             "damaged": self._damaged_before + self._framer.discarded,
-            "refused": self._refused,
+            "refused": self.refused,
         }
 
     def connected(self) -> None:
@@ -184,7 +180,7 @@ class Conversation:
             period = self._fixed.heartbeat if self._fixed else _FIRST_HEARTBEAT
             self._watch = HeartbeatWatch(period, now, now)
         self._began = now
-        self._refused_before = self._refused
+        self._refused_before = self.refused
         if self._fixed is not None:
             self._asked = 0
             self.send(HeartbeatMessage)
@@ -202,14 +198,14 @@ class Conversation:
             except WireError as error:
                 if not framer.resynchronises:
                     raise
-                self._refused += 1
+                self.refused += 1
                 self._why = str(error)
                 continue
             if self._incoming.take(message.seq):
                 raise LineError("the device has begun anew")
             self._watch.received_at = time.monotonic()
             if not self._asked:
-                self._refused_before = self._refused
+                self._refused_before = self.refused
             self.octets = len(frame)
             self._take(message)
 

@@ -58,7 +58,7 @@ class TopicSource(Source):
     ) -> None:
         super().__init__(endpoint)
         self.latched = port.latch
-        self._connection, self._topic, self._deliver = connection, topic, deliver
+        self._connection, self.topic, self._deliver = connection, topic, deliver
         self.made = made
         self._received = 0
         self._breaks = self._seen_breaks = connection.breaks
@@ -83,11 +83,6 @@ class TopicSource(Source):
             self._read = raw_reader(made, options.budget) if is_raw else reader(made)
             self._is_readable.set()
             connection.settle()
-
-    @property
-    def topic(self) -> str:
-        """Its full name."""
-        return self._topic
 
     def facts(self) -> Mapping[str, object]:
         """Return counters."""
@@ -120,7 +115,7 @@ class TopicSource(Source):
         try:
             message = self._read(came)
         except MessageError as error:
-            self._deliver.unreadable(f"{self._topic}: {error}")
+            self._deliver.unreadable(f"{self.topic}: {error}")
         else:
             self._deliver(message)
 
@@ -130,7 +125,7 @@ class TopicSource(Source):
         self._is_readable.set()
         connection = self._connection
         connection.forget_status(self._identity)
-        connection.unsubscribe(self._topic, self._take)
+        connection.unsubscribe(self.topic, self._take)
 
 
 class TopicSink(Sink):
@@ -148,7 +143,7 @@ class TopicSink(Sink):
         report: Report,
     ) -> None:
         super().__init__(endpoint)
-        self._connection, self._topic = connection, topic
+        self._connection, self.topic = connection, topic
         self._write, self.made = writer(made), made
         self._sent = self._refused = 0
         self._why = ""
@@ -174,11 +169,6 @@ class TopicSink(Sink):
             raise BridgeError(text, FailureReason.REFUSED)
         self._is_open = True
 
-    @property
-    def topic(self) -> str:
-        """Its full name."""
-        return self._topic
-
     def facts(self) -> Mapping[str, object]:
         """Return counters."""
         return {"sent": self._sent, "refused_by_server": self._refused}
@@ -193,7 +183,7 @@ class TopicSink(Sink):
 
     def _send(self, message: Message) -> None:
         head = f'{{"id":"{self._identity}",'
-        octets = write_publish(self._topic, self._sent, self._write(message))
+        octets = write_publish(self.topic, self._sent, self._write(message))
         self._connection.send_text(head + octets[1:].decode())
         self._sent += 1
 
@@ -208,7 +198,7 @@ class TopicSink(Sink):
         self.health.close()
         connection = self._connection
         connection.forget_status(self._identity)
-        fields = {"op": "unadvertise", "id": self._identity, "topic": self._topic}
+        fields = {"op": "unadvertise", "id": self._identity, "topic": self.topic}
         connection.withdraw(self._identity, fields)
 
 
