@@ -26,7 +26,6 @@ from uoarm.server.front_end import (
     MemoryUse,
     MessageForm,
     Operation,
-    Session,
     Subscription,
     coded_text,
     hookimpl,
@@ -471,12 +470,7 @@ def _names_in(fields: Fields) -> list[str]:
 
 
 def _start(backend: Backend) -> MakeSession:
-    catalogue = ChannelCatalogue(backend)
-
-    def make_session(client: Client) -> Session:
-        return FoxgloveSession(client, backend, catalogue)
-
-    return make_session
+    return functools.partial(FoxgloveSession, backend=backend, catalogue=ChannelCatalogue(backend))
 
 
 @hookimpl

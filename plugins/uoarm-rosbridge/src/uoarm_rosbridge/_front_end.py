@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from uoarm.server.front_end import Backend, Client, FrontEnd, MakeSession, Session, hookimpl
+from functools import partial
+
+from uoarm.server.front_end import Backend, FrontEnd, MakeSession, hookimpl
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Addresses
 from uoarm_rosbridge._rosapi import RosapiCatalogue
@@ -10,13 +12,14 @@ from uoarm_rosbridge._session import RosbridgeSession
 
 
 def _start(backend: Backend) -> MakeSession:
-    hub, addresses = Hub(), Addresses(backend.robot)
-    catalogue = RosapiCatalogue(backend, hub)
-
-    def make_session(client: Client) -> Session:
-        return RosbridgeSession(client, backend, hub, catalogue, addresses)
-
-    return make_session
+    hub = Hub()
+    return partial(
+        RosbridgeSession,
+        backend=backend,
+        hub=hub,
+        catalogue=RosapiCatalogue(backend, hub),
+        addresses=Addresses(backend.robot),
+    )
 
 
 @hookimpl
