@@ -250,6 +250,22 @@ def test_a_change_of_a_parameter_that_is_more_than_a_call_may_hold_is_looked_at(
         assert len(collectors["/speed"].messages) == 1
 
 
+def test_a_change_of_a_parameter_in_one_that_is_watched_too_comes_once(
+    master: Master, lasting: Peer
+) -> None:
+    lasting.do("set_param", name="/cart/speed", value=0)
+    with bridge_to(master) as bridge:
+        outer, inner = Collector(), Collector()
+        bridge.open_source(output("/cart", "parameter"), ANY, outer.deliver)
+        bridge.open_source(output("/cart/speed", "parameter"), ANY, inner.deliver)
+        for value in (1, 2, 2, 3):
+            received = len(inner.messages)
+            lasting.do("set_param", name="/cart/speed", value=value)
+            inner.wait(received + 1, patience())
+        assert inner.messages == [0, 1, 2, 2, 3]
+        wait(lambda: {"speed": 3} in outer.messages, "it has not come", patience())
+
+
 def test_a_look_that_fails_ends_no_other(master: Master, lasting: Peer) -> None:
     lasting.do("advertise", topic="/looked_at", type=INT)
     with bridge_to(master) as bridge:

@@ -80,6 +80,10 @@ class Node:
         self._subscriptions: dict[str, tuple[TopicSubscription, ...]] = {}
         self._services: dict[str, Arrived] = {}
         self._parameters: dict[str, tuple[ParameterListener, ...]] = {}
+        self._updated: tuple[tuple[str, Any], int] = (
+            ("", None),
+            0,
+        )  # the last, and how often it came
         self._tables: Mapping[str, Mapping[str, object]] = {
             "publisher": self._publications,
             "subscriber": self._subscriptions,
@@ -289,7 +293,7 @@ class Node:
     def parameter_changed(self, key: str, value: Any) -> None:
         """Report a change here; of those that the node itself makes, the master says nothing."""
         for watched, listeners in tuple(self._parameters.items()):
-            if f"{key}/".startswith(f"{watched.rstrip('/')}/"):
+            if _is_within(key, watched):
                 for changed in listeners:
                     changed(key, value, is_set=True)
 
@@ -406,12 +410,22 @@ class Node:
             for subscription in self._subscriptions.get(event.topic, ()):
                 subscription.update(event.publishers)
         elif isinstance(event, ParameterUpdate):
-            self.parameter_changed(event.key.rstrip("/"), event.value)
+            self._parameter_updated(event.key.rstrip("/"), event.value)
         elif isinstance(event, TransportRefusal) and event.topic in self._publications:
             self._publications[event.topic][0].refuse_transport(arguments[0][:200])
         elif isinstance(event, Shutdown):
             self._ended(event.reason)
         return result
+
+    def _parameter_updated(self, key: str, value: Any) -> None:
+        """Report a change, which the master sends once for each of those watched that it is in."""
+        copies = sum(_is_within(key, watched) for watched in tuple(self._parameters))
+        before, seen = self._updated
+        if before == (key, value) and seen < copies:
+            self._updated = before, seen + 1
+            return
+        self._updated = (key, value), 1
+        self.parameter_changed(key, value)
 
     def _look_at_parameter(self, body: bytes) -> None:
         """Have a parameter looked at of which a change came that is more than a call may hold."""
@@ -434,6 +448,10 @@ class Node:
         with suppress(OSError):
             connection.send(encode_header({"error": problem, "callerid": self.name}))
         connection.close()
+
+
+def _is_within(key: str, watched: str) -> bool:
+    return f"{key}/".startswith(f"{watched.rstrip('/')}/")
 
 
 def _stamp() -> dict[str, int]:
