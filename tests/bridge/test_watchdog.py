@@ -353,6 +353,10 @@ def test_as_a_program_ends_no_stop_waits_for_another() -> None:
     for name in ("a", "b"):
         stops.add(partial(calls.append, f"begin {name}"), partial(calls.append, f"end {name}"))
     stops.add(lambda: 1 / 0, lambda: 1 / 0)
+    other = ExitStops()  # of another bridge
+    other.add(partial(calls.append, "begin c"), partial(calls.append, "end c"))
     stops._stop_all()
-    assert calls == ["begin a", "begin b", "end a", "end b"]
+    assert sorted(calls[:3]) == ["begin a", "begin b", "begin c"]
+    assert calls[3:] == ["end a", "end b"]
     stops.close()
+    other.close()

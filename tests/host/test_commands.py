@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from tests.processes import run_python
 
 from uoarm import RobotManager
 from uoarm._host.remote_bridge import RemoteBridge, RemoteSink
@@ -172,3 +173,34 @@ def test_no_stop_waits_until_another_input_is_closed(
     monkeypatch.setattr(RemoteSink, "_close", look_and_close)
     bridge.close(timeout=2 * patience())
     assert taken(tmp_path) == ["0.5", "0.5", "0.0", "0.0"]
+
+
+ENDING = """
+import sys
+from pathlib import Path
+from uoarm import RobotManager
+from uoarm._host.process_connection import ProcessConnection
+from uoarm.testing import wait
+
+folder = Path(sys.argv[1])
+taken = lambda: (folder / "taken").read_text().split() if (folder / "taken").exists() else []
+manager = RobotManager.from_file(folder / "robot.yaml")
+manager.request("drive").send({"v": 0.5})
+wait(lambda: taken() == ["0.5"])
+close = ProcessConnection.close
+
+def look_and_close(connection, say_close):
+    wait(lambda: taken()[1:] == ["0.0"])
+    print("stopped")
+    close(connection, say_close)
+
+ProcessConnection.close = look_and_close
+"""
+
+
+def test_as_a_program_ends_no_stop_waits_until_another_host_has_ended(folder: Path) -> None:
+    text = (folder / "robot.yaml").read_text().replace("lifetime: 0.2", "lifetime: 3600")
+    (folder / "robot.yaml").write_text(text)
+    done = run_python("-c", ENDING, folder)
+    assert done.stdout == "stopped\n", done.stderr
+    assert taken(folder) == ["0.5", "0.0"]

@@ -212,7 +212,9 @@ class Bridge(BridgeSteps):
             partial(self._open_sink, endpoint, structure),
             is_quick=self.is_quick(endpoint),
         )
-        if endpoint.command is not None and self._is_last_hop:
+        if endpoint.command is not None and not self._is_last_hop:
+            sink.stop_at_exit(self._exit_stops)
+        elif endpoint.command is not None:
 
             def report_stop(cause: str) -> None:
                 health = Health.DEGRADED if cause else Health.OK

@@ -282,7 +282,6 @@ class Sink(Channel):
             report_stop: called with why a stop message was not taken, and without when one was.
             exit_stops: what its bridge stops where the program ends without closing.
         """
-        self._exit_stops = exit_stops
         if self.endpoint.command is not None:
             name = f"{self.endpoint.component}.{self.endpoint.port}"
             self._watchdog = Watchdog(
@@ -291,8 +290,14 @@ class Sink(Channel):
                 name,
                 parallel=self.parallel,
                 report_stop=report_stop,
-                report_first=lambda: exit_stops.add(self.begin_close, self._before_close),
+                report_first=lambda: self.stop_at_exit(exit_stops),
             )
+
+    @final
+    def stop_at_exit(self, exit_stops: ExitStops) -> None:
+        """Have it stopped where the program ends without closing; for the core."""
+        self._exit_stops = exit_stops
+        exit_stops.add(self.begin_close, self._before_close)
 
     def hold(self, timeout: float) -> CommandStatus | None:
         """Send the stop message and refuse every command until `release`; for the core.

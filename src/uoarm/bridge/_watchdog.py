@@ -13,14 +13,15 @@ import logging
 import math
 import threading
 import time
+import weakref
 from collections.abc import Callable, Mapping
 from numbers import Real
-from typing import final
+from typing import ClassVar, final
 
 from attrs import frozen
 
 from uoarm._backoff import Backoff
-from uoarm._forks import at_exit
+from uoarm._forks import at_exit, generation
 from uoarm._raised import LimitedLog, foreign, text_of
 from uoarm.errors import CommandRefusedError
 from uoarm.model import CommandPhase, CommandPolicy, CommandStatus, FieldLimit, Message
@@ -463,13 +464,17 @@ class ExitStops:
 
     They are registered together, with the first command: what the framework registered for its end
     came before, and runs later. `atexit` keeps the place of all that it was ever given, so one for
-    each input would be one for each time that it was opened. Thread safe.
+    each input would be one for each time that it was opened. The first of all bridges has those of
+    the others begin, too. Thread safe.
     """
+
+    _all: ClassVar[weakref.WeakSet[ExitStops]] = weakref.WeakSet()
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._stops: dict[Callable[[], object], Callable[[], object]] = {}
         self._forget: Callable[[], None] | None = None
+        self._process = 0
 
     def add(self, begin: Callable[[], object], end: Callable[[], object]) -> None:
         """Have an input stopped as the interpreter ends.
@@ -482,6 +487,8 @@ class ExitStops:
             self._stops[end] = begin
             if self._forget is None:
                 self._forget = at_exit(self._stop_all)
+                self._process = generation()
+                self._all.add(self)
 
     def discard(self, end: Callable[[], object]) -> None:
         """Do without an input: it was stopped. Idempotent."""
@@ -496,9 +503,14 @@ class ExitStops:
             forget()
 
     def _stop_all(self) -> None:
-        stops = tuple(self._stops.items())
         # All of them first: none waits for one whose component hangs.
-        for call in (*(begin for _, begin in stops), *(end for end, _ in stops)):
+        begins = [
+            begin
+            for stops in tuple(self._all)
+            if stops._process == self._process  # noqa: SLF001 - others of a parent are its own
+            for begin in tuple(stops._stops.values())  # noqa: SLF001 - one of these
+        ]
+        for call in (*begins, *tuple(self._stops)):
             try:
                 foreign(call)
             except Exception as error:  # noqa: BLE001 - the others must be stopped, too
