@@ -258,11 +258,10 @@ def test_a_change_of_a_parameter_in_one_that_is_watched_too_comes_once(
         outer, inner = Collector(), Collector()
         bridge.open_source(output("/cart", "parameter"), ANY, outer.deliver)
         bridge.open_source(output("/cart/speed", "parameter"), ANY, inner.deliver)
-        for value in (1, 2, 2, 3):
-            received = len(inner.messages)
+        for count, value in enumerate((1, 2, 2, 3), 1):
+            inner.wait(count, patience())
             lasting.do("set_param", name="/cart/speed", value=value)
-            inner.wait(received + 1, patience())
-        assert inner.messages == [0, 1, 2, 2, 3]
+        assert inner.wait(5, patience()) == [0, 1, 2, 2, 3]
         wait(lambda: {"speed": 3} in outer.messages, "it has not come", patience())
 
 
