@@ -292,6 +292,15 @@ def test_an_unknown_function_is_named_with_a_guess(make_robot: Make) -> None:
         make_robot(HEAD + source()).request("narow")
 
 
+@pytest.mark.parametrize("name", ["narrow.none", "narrow.default.none"])
+def test_of_an_output_that_there_is_not_no_plan_is_shown(make_robot: Make, name: str) -> None:
+    robot = make_robot(HEAD + source())
+    for ask in (robot.resolve, robot.request, robot.resolve):
+        with pytest.raises(UsageError, match="say which output of 'narrow' is meant"):
+            ask(name)
+    assert robot.resolve("narrow.default").function == "narrow"
+
+
 def test_events_come_numbered_and_in_order(make_robot: Make) -> None:
     robot = make_robot(HEAD + source())
     events: list[StatusEvent] = []

@@ -13,6 +13,7 @@ from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
 from uoarm._control.engine.events import Requested
 from uoarm._control.engine.move import recently
+from uoarm._control.engine.step import output_of
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.listeners import EventDispatcher
@@ -71,19 +72,22 @@ class Requests:
 
     def resolve(self, name: str, timeout: float) -> Plan:
         """Return the plan that `open` would open; errors are those of `RobotManager.resolve`."""
-        function = _reference(name).function
+        wanted = _reference(name)
+        function = wanted.function
         left = self._candidates.wait(timeout, function)
         revision = self._revisions.current
-        known = self._known(function, revision)
-        if known is not None:
-            return known
-        avoided = recently(self._driver.state.avoided, self._clock())
-        with span("resolve", function=function):
-            return deadlines.run(
-                f"resolving {function!r}",
-                left,
-                lambda: revision.resolve(function, avoided=avoided),
-            )
+        plan = self._known(function, revision)
+        if plan is None:
+            avoided = recently(self._driver.state.avoided, self._clock())
+            with span("resolve", function=function):
+                plan = deadlines.run(
+                    f"resolving {function!r}",
+                    left,
+                    lambda: revision.resolve(function, avoided=avoided),
+                )
+        if wanted.port is not None:
+            output_of(plan, wanted)
+        return plan
 
     def open(
         self,

@@ -51,6 +51,7 @@ class RobotView(ConfiguredRobot):
         Raises:
             ResolutionError: nothing fits; the text says for every candidate why.
             BridgeTimeoutError: no plan within `timeout` seconds; the text says what hung.
+            UsageError: the function has no such output.
         """
         self._require_open()
         return self._requests.resolve(name, timeout)

@@ -186,7 +186,7 @@ def _is_outdated(draft: Draft, event: ev.Requested | ev.Resolved) -> bool:
 def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
     """Open a connection's first plan."""
     try:
-        output = _output(plan, record.wanted)
+        output = output_of(plan, record.wanted)
     except UsageError as error:
         _refuse(draft, record, error)
         return
@@ -218,8 +218,12 @@ def _refuse(draft: Draft, record: ConnectionRecord, error: BaseException | None)
     draft.do(act.Reply(record.waiter, error))
 
 
-def _output(plan: Plan, wanted: PortRef) -> str | None:
-    """Return the name of the output that the application receives, None where it has none."""
+def output_of(plan: Plan, wanted: PortRef) -> str | None:
+    """Return the name of the output that the application receives, None where it has none.
+
+    Raises:
+        UsageError: it has no such one.
+    """
     component = plan.provider.component
     if not component.outputs and wanted.port is None:
         return None
