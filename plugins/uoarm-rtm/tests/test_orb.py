@@ -13,7 +13,7 @@ from typing import Any
 import omniORB
 import pytest
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
-from tests.processes import ForkedProgram  # type: ignore[import-not-found]
+from tests.processes import ForkedProgram, run_python  # type: ignore[import-not-found]
 from uoarm_rtm import _orb
 from uoarm_rtm._orb import Orb, deliveries
 
@@ -182,3 +182,23 @@ def test_a_child_that_is_forked_serves_nothing_of_its_parent() -> None:
             forked.kill_parent()
             with pytest.raises(ConnectionRefusedError):
                 socket.create_connection(place)
+
+
+LIMITED = """
+import os, socket
+from uoarm_rtm._orb import Orb
+
+near, far = socket.socketpair()
+orb = Orb("127.0.0.1", 60.0)
+socket.setdefaulttimeout(60)
+if child := os.fork():
+    os.waitpid(child, 0)
+    print(os.get_blocking(near.fileno()), flush=True)
+    orb.close()
+else:
+    os._exit(0)
+"""
+
+
+def test_a_child_that_is_forked_leaves_the_sockets_of_its_parent_as_they_are() -> None:
+    assert run_python("-c", LIMITED).stdout == "True\n"

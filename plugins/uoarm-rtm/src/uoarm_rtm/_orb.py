@@ -219,6 +219,9 @@ class _ServedSockets:
 
     def close(self) -> None:
         """Close them, in a child."""
+        # What gets such a limit as it is looked at becomes non-blocking for the parent, too.
+        limit = socket.getdefaulttimeout()
+        socket.setdefaulttimeout(None)
         for number in [int(path.name) for path in Path("/proc/self/fd").glob("*")]:
             with suppress(OSError):  # it is no socket
                 held = socket.socket(fileno=number)
@@ -226,6 +229,7 @@ class _ServedSockets:
                 if isinstance(local, tuple) and local[1] == self._port:
                     held.close()
                 held.detach()
+        socket.setdefaulttimeout(limit)
 
 
 def _port_of(reference: str) -> int:
