@@ -164,6 +164,30 @@ def test_a_ring_is_written_at_a_signal(tmp_path: Path) -> None:
     assert numbers(path, "/many")[:10] == list(range(10))
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="this system has no such signal")
+def test_the_signal_ends_nothing_that_opens_still(tmp_path: Path) -> None:
+    parts = """
+import os
+import signal
+from collections.abc import Iterator
+
+
+class Early:
+    def __init__(self) -> None:
+        os.kill(os.getpid(), signal.SIGUSR1)
+
+    def __iter__(self) -> Iterator[int]:
+        yield 1
+"""
+    file = make(tmp_path)
+    file.write_text(ROBOT.replace("parts:few", "early:Early"))
+    (tmp_path / "early.py").write_text(parts)
+    path = str(tmp_path / "run.mcap")
+    words = ["record", "-f", str(file), "few", "-o", path, "--ring", "60"]
+    done = run_python("-c", "from uoarm.cli import main; main()", *words)
+    assert done.returncode == 0, done.stderr
+
+
 def test_without_a_name_it_is_what_the_configuration_says(tmp_path: Path) -> None:
     more = "record: {functions: [few], path: kept.mcap, compression: none}\n"
     done = CliRunner().invoke(main, ["record", str(make(tmp_path, more))])

@@ -425,6 +425,32 @@ def test_two_signals_stop_what_moves_and_let_commands_through_again(start: Start
     _until(process, "commands are let through again")
 
 
+def test_the_stop_is_taken_while_what_is_recorded_opens(start: Start, tmp_path: Path) -> None:
+    parts = """
+import os
+import signal
+from collections.abc import Iterator
+
+
+class Early:
+    def __init__(self) -> None:
+        os.kill(os.getpid(), signal.SIGUSR1)
+
+    def __iter__(self) -> Iterator[int]:
+        yield 1
+"""
+    (tmp_path / "early.py").write_text(parts)
+    (tmp_path / "robot.yaml").write_text("""
+version: 1
+bridges: {python: {}}
+functions:
+  early: {components: [{name: early, bridge: python, output: {endpoint: ["early:Early"]}}]}
+record: {functions: [early], path: run.mcap}
+""")
+    process, _ = start()
+    _until(process, "nothing open moves")
+
+
 def test_what_was_stopped_is_stopped_after_a_restart_until_it_is_released(
     start: Start, tmp_path: Path
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -79,7 +79,7 @@ def record(
     what was recorded and what was lost. The exit code is 4 where the file could not be written on,
     a function failed, or nothing came of any.
     """
-    with open_robot(file) as robot:
+    with _dumping() as recordings, open_robot(file) as robot:
         settings = robot.config.record
         if not functions and settings is None:
             context = click.get_current_context()
@@ -92,11 +92,9 @@ def record(
         if str(output) == "-":
             raise click.UsageError("-o -: a recording is no stream; name a file, such as run.mcap")
         with robot.record(*functions, path=output, **options) as recording:
-            try:
-                with _dumping(recording):
-                    _follow(recording, as_json=as_json)
-            except (KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how recording ends
-                pass
+            recordings.append(recording)
+            with suppress(KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how it ends
+                _follow(recording, as_json=as_json)
         status = recording.status()
     echo(write_json(to_json(status)) if as_json else summary(status))
     failure, error_code = _failure(status)
@@ -132,17 +130,21 @@ def _follow(recording: Recording, *, as_json: bool) -> None:
 
 
 @contextmanager
-def _dumping(recording: Recording) -> Iterator[None]:
-    """Write the ring at SIGUSR1, in a thread of its own."""
+def _dumping() -> Iterator[list[Recording]]:
+    """Write the ring of the recording that the list has then at SIGUSR1, in a thread of its own."""
+    recordings: list[Recording] = []
 
     def dump() -> None:
+        if not recordings:
+            echo("nothing is recorded yet", err=True)
+            return
         try:
-            echo(f"written: {recording.dump('SIGUSR1')}", err=True)
+            echo(f"written: {recordings[0].dump('SIGUSR1')}", err=True)
         except UoarmError as error:
             print_error(error)
 
     with at_signals(SIGUSR1=dump):
-        yield
+        yield recordings
 
 
 def _line(status: RecordingStatus, seconds: float) -> str:

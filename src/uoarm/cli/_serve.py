@@ -158,28 +158,25 @@ def serve(
         announcement = Announcement(manager.identity, chosen) if announce else None
         if manager.is_stopped:
             echo(f"{_BEGINS_STOPPED}: {stop_file}", err=True)
-        manager.offer(timeout=0)  # what fails is in the log and in the status
-        if manager.config.record is not None:
-            try:
-                manager.record()
-            except UoarmError as error:
-                print_warning(f"nothing is recorded: {error}")
 
         def ready(server: Server) -> None:
             say(server, chosen)
             if announcement is not None:
                 announcement.start(server.ports[0])
 
-        try:
-            with (
-                stopping(manager),
-                _reloading(manager, watch=watch_config),
-                announcement or nullcontext(),
-            ):
-                run(manager, chosen, ready)
-        except ListenError as error:
-            error.name_option(port_options(chosen))
-            raise
+        with stopping(manager):  # before anything is opened: what is may move at once
+            manager.offer(timeout=0)  # what fails is in the log and in the status
+            if manager.config.record is not None:
+                try:
+                    manager.record()
+                except UoarmError as error:
+                    print_warning(f"nothing is recorded: {error}")
+            try:
+                with _reloading(manager, watch=watch_config), announcement or nullcontext():
+                    run(manager, chosen, ready)
+            except ListenError as error:
+                error.name_option(port_options(chosen))
+                raise
 
 
 _LAST_SECONDS = 1.0

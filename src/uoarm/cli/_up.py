@@ -77,12 +77,15 @@ def up(
         given = Robot({}, {}) if file is None else load(file, registry.types)
         robot = with_every_plugin(given, registry)
         stop_file = stop_file_of(file or "uoarm up")
-        with RobotManager(robot, registry=registry, stop_file=stop_file) as manager:
+        with (
+            RobotManager(robot, registry=registry, stop_file=stop_file) as manager,
+            stopping(manager),
+        ):
             chosen = ServerOptions(host=host, port=port, access=access)
             follower = _Follower(manager, unfed=unfed, as_json=as_json)
             manager.offer(timeout=0)  # what fails is in the log and in the status
             try:
-                with stopping(manager), _following(follower, every):
+                with _following(follower, every):
                     run(manager, chosen, lambda server: say(server, chosen, err=as_json))
             except ListenError as error:
                 error.name_option({port: "--port"})
