@@ -621,6 +621,25 @@ def test_a_bag_of_ros_2_whose_recorder_was_killed_says_what_helps(
         open_recording(bag)
 
 
+def test_a_bag_with_times_that_are_none_is_refused(tmp_path: Path) -> None:
+    """Its start stands in a file of text beside it."""
+    rosbags = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    bag = tmp_path / "bag"
+    with rosbags.Writer(bag, version=9) as writer:
+        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+        text = store.types["std_msgs/msg/String"](data="text")
+        writer.write(connection, 1000, store.serialize_cdr(text, "std_msgs/msg/String"))
+    metadata = bag / "metadata.yaml"
+    said = metadata.read_text()
+    for start in (10**30, -5):
+        changed = re.sub(r"(nanoseconds_since_epoch: )\d+", rf"\g<1>{start}", said)
+        metadata.write_text(changed)
+        with pytest.raises(BridgeError, match=f"expected times .*, got {start} to .*reindex"):
+            open_recording(bag)
+
+
 def test_a_channel_that_a_cut_file_lost_names_the_cut(tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(MAGIC + b"\x06\xff")

@@ -54,6 +54,12 @@ class BagReader:
             self.start = int(reader.start_time) if reader.message_count else 0
             # Theirs is the time behind the last message.
             self.end = int(reader.end_time) - 1 if reader.message_count else 0
+            if not 0 <= self.start < _LATEST or not 0 <= self.end < _LATEST:
+                raise BridgeError(
+                    f"{path}: expected times in nanoseconds below 2**63, got {self.start} to "
+                    f"{self.end}; `ros2 bag reindex {path}` counts them anew",
+                    FailureReason.UNSUPPORTED,
+                )
             is_two = bool(reader.is2)
             for connection in reader.connections:
                 topic, kind = str(connection.topic), _kind(connection)
@@ -147,6 +153,7 @@ def _channel(connection: Any, *, is_two: bool) -> FileChannel:
 
 
 _NANO = 1_000_000_000
+_LATEST = 2**63  # that of SQLite, and of ROS
 
 
 class CheckedRobot(Protocol):
