@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
+from attrs import evolve
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from tests.control.world import FACE
@@ -15,10 +16,10 @@ from tests.manager import stage
 from uoarm import RobotManager
 from uoarm._control.live import revisions
 from uoarm._parts import ApplicationPorts
-from uoarm.bridge import BridgeType, Registry
+from uoarm.bridge import BridgeType, Delivery, Registry, Source
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, ConnectionClosedError, UsageError
-from uoarm.model import Effect, Options
+from uoarm.model import Deliver, Effect, Endpoint, MessageStructure, Options, StopOutcome
 from uoarm.testing import Background, Emitter, MemoryBridge, patience, wait
 
 NUMBER = {"type": "integer"}
@@ -248,6 +249,53 @@ def test_a_bridge_with_other_options_is_another_one(
         wait(lambda: before.closed)
         assert camera.gaps == ()
     assert after.closed
+
+
+class Robots(MemoryBridge):
+    """A bridge to another robot, which a stop reaches, too; it opens nothing until it may."""
+
+    def __init__(self, name: str, options: Options) -> None:
+        super().__init__(name, options)
+        self.capabilities = evolve(self.capabilities, stop=True)
+        self.emitter("light", NUMBER)
+        self.is_opening, self.may_open = threading.Event(), threading.Event()
+        self.stops = 0
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver | Delivery
+    ) -> Source:
+        self.is_opening.set()
+        assert self.may_open.wait(patience())
+        return super()._open_source(endpoint, structure, deliver)
+
+    def _stop_all(self, release: bool, timeout: float) -> tuple[StopOutcome, ...]:
+        del release, timeout
+        self.stops += 1
+        return ()
+
+
+def test_a_stop_reaches_what_is_behind_a_bridge_until_its_connections_have_moved() -> None:
+    made: list[Robots] = []
+
+    def create(name: str, options: Options) -> Robots:
+        made.append(Robots(name, options))
+        return made[-1]
+
+    registry = Registry(())
+    schema = {"properties": {"level": {"type": "integer"}}}
+    registry.add(BridgeType("memory", "", create, bridge_options=schema, contract=2))
+    text = "version: 1\nbridges: {{two: {{plugin: memory, options: {{level: {0}}}}}}}\nfunctions:"
+    with RobotManager(loads(text.format(1) + LAMP), registry=registry) as robot:
+        requested = Background(lambda: robot.request("lamp"))
+        wait(lambda: bool(made))
+        made[0].may_open.set()
+        requested.result()
+        applied = Background(lambda: robot.apply(loads(text.format(2) + LAMP)))
+        wait(lambda: len(made) > 1 and made[1].is_opening.is_set())
+        robot.stop_all()
+        assert [bridge.stops for bridge in made] == [1, 1]
+        made[1].may_open.set()
+        applied.result()
 
 
 def test_a_change_that_is_refused_leaves_no_bridge_behind(

@@ -239,8 +239,10 @@ class BridgeSet:
         return self._bridges.get(name)
 
     def stopping(self) -> tuple[Bridge, ...]:
-        """Return the bridges that run and stop what moves behind them."""
-        return tuple(bridge for bridge in self._bridges.copy().values() if bridge.capabilities.stop)
+        """Return the bridges that run, those replaced too, and stop what moves behind them."""
+        with self._lock:
+            running = (*self._bridges.values(), *self._replaced)
+        return tuple(bridge for bridge in running if bridge.capabilities.stop)
 
     def is_in_use(self, bridge: Bridge) -> bool:
         """Say whether a bridge is the one that bears its name now."""
