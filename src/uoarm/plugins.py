@@ -16,7 +16,13 @@ from attrs import field, frozen
 
 from uoarm._encodable import printable
 from uoarm._plugins import hookimpl, hookspec
-from uoarm._support.files import expanded, user_folder
+from uoarm._support.files import (
+    UnreadableFileError,
+    expanded,
+    read_octets,
+    read_text,
+    user_folder,
+)
 from uoarm.errors import CommandLineError
 
 __all__ = [
@@ -29,9 +35,12 @@ __all__ = [
     "DefinitionFormat",
     "DefinitionHooks",
     "Definitions",
+    "UnreadableFileError",
     "expanded",
     "hookimpl",
     "printable",
+    "read_octets",
+    "read_text",
     "user_folder",
 ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import ssl
 from contextlib import suppress
@@ -91,6 +92,17 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path, certificate: Path) ->
     for shown, authority in ((missing, None), (certificate, missing)):
         with pytest.raises(ConfigurationError, match=r"TLS: .*no\.pem: .*No such file"):
             server_context(shown, None, authority)
+
+
+def test_no_pipe_is_waited_for(tmp_path: Path, certificate: Path) -> None:
+    pipe = tmp_path / "pipe.pem"
+    os.mkfifo(pipe)
+    for authority, shown in ((pipe, None), (None, pipe)):
+        with pytest.raises(ConfigurationError, match=r"TLS: .*pipe\.pem: .*not a regular file"):
+            client_context(authority, shown)
+    for files in ((pipe, None, None), (certificate, pipe, None), (certificate, None, pipe)):
+        with pytest.raises(ConfigurationError, match=r"TLS: .*pipe\.pem: .*not a regular file"):
+            server_context(*files)
 
 
 def test_what_a_pair_lacks_is_said(tmp_path: Path, certificate: Path) -> None:

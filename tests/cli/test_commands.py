@@ -412,6 +412,12 @@ def test_schema_check_exits_by_its_verdict(tmp_path: Path, consumer: object, cod
     assert json.loads(result.stdout)["compatible"] is (code == 0)
 
 
+def test_schema_check_reads_no_device_to_an_end_that_there_is_not() -> None:
+    result = run("schema", "check", "/dev/zero", "/dev/zero")
+    assert result.exit_code == 2
+    assert "/dev/zero: the file cannot be read: it has more than 64,000,000" in result.output
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import ssl
 import subprocess
 import threading
@@ -320,6 +321,9 @@ def test_an_audit_log_that_cannot_be_written_keeps_the_server_from_starting(
 ) -> None:
     with pytest.raises(ConfigurationError, match=r"audit log cannot be written to .*absent"):
         serve(audit=tmp_path / "absent" / "audit.jsonl")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ConfigurationError, match=r"audit log cannot be written to .*pipe"):
+        serve(audit=tmp_path / "pipe")  # which no one reads
 
 
 def test_tls_is_spoken_where_there_is_a_certificate(serve: Serve, tmp_path: Path) -> None:

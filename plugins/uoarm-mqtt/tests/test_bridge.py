@@ -848,6 +848,7 @@ class TestRefusals:
             ({"url": "mqtts://broker", "tls": {"key": "k"}}, "certificate"),
             ({"user": "u", "password_env": "NO_SUCH_VARIABLE"}, "NO_SUCH_VARIABLE"),
             ({"user": "u", "password_file": "/no/such/file"}, "password_file"),
+            ({"user": "u", "password_file": "/dev/zero"}, "not a regular file"),
             ({"password_env": "PATH"}, "user"),
             ({"user": "u", "password_env": "PATH", "password_file": "x"}, "not both"),
             ({"url": "mqtt://broker", "user": "u", "password_env": "PATH"}, "unencrypted"),

@@ -58,6 +58,15 @@ def test_auth_comes_first_and_on_every_connection_anew(
     assert "kiwi" not in json.dumps(played.came)
 
 
+def test_a_secret_is_read_of_a_file_only() -> None:
+    auth = {"secret_file": "/dev/zero", "client": "10.0.0.1", "dest": "robot"}
+    with (
+        pytest.raises(ConfigurationError, match=r"/dev/zero: .*not a regular file"),
+        bridge_to("ws://127.0.0.1:9090", auth=auth),
+    ):
+        pass
+
+
 @pytest.mark.parametrize("host", ["robot.example", "localhost.example", "127.example"])
 def test_a_secret_goes_nowhere_in_the_clear(tmp_path: Path, host: str) -> None:
     secret = tmp_path / "secret"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import filecmp
 import importlib.util
 import json
+import os
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -253,8 +254,11 @@ def test_wrong_idl_says_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(BridgeError, match=r"the IDL text:1: Syntax error"):
         load_idl("module {")
-    with pytest.raises(BridgeError, match=r"no\.idl' cannot be read"):
+    with pytest.raises(BridgeError, match=r"no\.idl': the file cannot be read: No such"):
         load_idl("no.idl")
+    os.mkfifo(tmp_path / "pipe.idl")
+    with pytest.raises(BridgeError, match="it is not a regular file"):
+        load_idl(str(tmp_path / "pipe.idl"))
     assert not list((tmp_path / "uoarm" / "rtm").iterdir())
 
 

@@ -1,7 +1,7 @@
 """Files that are there whole or not at all, also when the disk is full or the process is killed.
 
 Paths may begin with `~`, and programs keep things in folders of the user who runs them.
-Text is read in one way: of a regular file, in UTF-8, up to a limit; what is wrong is worded once.
+What users name is read in one way: a regular file, up to a limit; what is wrong is worded once.
 """
 
 from __future__ import annotations
@@ -42,18 +42,23 @@ def read_text(path: Path, limit: int) -> str:
     Raises:
         UnreadableFileError: it cannot be read, has more, or is not UTF-8.
     """
-    try:
-        raw = _octets(path, limit)
-    except OSError as error:
-        raise UnreadableFileError(f"the file cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
-        raise UnreadableFileError(f"the file cannot be read: {error}") from error
+    raw = read_octets(path, limit)
     try:
         return raw.decode("utf-8")
     except UnicodeDecodeError as error:
         sentence = f"the file is not UTF-8: byte {error.start + 1:,} cannot be decoded"
         line = raw[: error.start].count(b"\n") + 1
         raise UnreadableFileError(sentence, "save it as UTF-8", line) from error
+
+
+def read_octets(path: Path, limit: int) -> bytes:
+    """Return what stands in a regular file; as `read_text`."""
+    try:
+        return _octets(path, limit)
+    except OSError as error:
+        raise UnreadableFileError(f"the file cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise UnreadableFileError(f"the file cannot be read: {error}") from error
 
 
 def _octets(path: Path, limit: int) -> bytes:
@@ -106,7 +111,7 @@ def written_beside(
     mode = 0o600 if private else 0o666
     before = None
     with suppress(FileNotFoundError):
-        before = _mode_of_regular(named)
+        before = mode_of_regular(named)
     part = path.with_name(f".{path.name}.{os.getpid()}")
     part.unlink(missing_ok=True)  # of a process that was killed, and had this number
     try:
@@ -126,8 +131,13 @@ def written_beside(
         part.unlink(missing_ok=True)
 
 
-def _mode_of_regular(path: Path) -> int:
-    """Return the mode of a file, and refuse what none may replace: as root a device would be."""
+def mode_of_regular(path: Path) -> int:
+    """Return the mode of a regular file.
+
+    Raises:
+        OSError: there is none, or another thing: as root a device would be replaced, and who opens
+            a pipe waits for its other end.
+    """
     mode = path.stat().st_mode
     if stat.S_ISDIR(mode):
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))

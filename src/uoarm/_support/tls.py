@@ -13,6 +13,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TypeAlias
 
+from uoarm._support.files import mode_of_regular
 from uoarm.errors import ConfigurationError
 
 _File: TypeAlias = "str | PathLike[str]"
@@ -110,6 +111,9 @@ def _fault(certificate: _File, key: _File | None) -> str:
 @contextmanager
 def _using(what: str, *files: _File | None) -> Iterator[None]:
     try:
+        for file in files:
+            if file is not None:  # OpenSSL would wait for who writes into a pipe
+                mode_of_regular(Path(file))
         yield
     except (OSError, ValueError) as error:  # of a wrong passphrase ValueError
         names = " with ".join(str(file) for file in files if file is not None)

@@ -18,6 +18,7 @@ __all__ = ["check_files", "schema"]
 
 _UNDECIDED = 3
 _UNREADABLE = 2
+_MOST_OCTETS = 64_000_000
 
 
 @click.group()
@@ -46,7 +47,11 @@ def check_files(producer: Path, consumer: Path, *, as_json: bool) -> None:
 def _read(path: Path) -> Any:
     # As `uoarm._support.files` words it, which what stands alone does not import.
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as stream:  # a device could go on for ever
+            raw = stream.read(_MOST_OCTETS + 1)
+        if len(raw) > _MOST_OCTETS:
+            _fail(f"{path}: the file cannot be read: it has more than {_MOST_OCTETS:,} bytes")
+        text = raw.decode("utf-8")
     except OSError as error:
         _fail(f"{path}: the file cannot be read: {error.strerror or error}")
     except UnicodeDecodeError as error:

@@ -22,6 +22,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Options, is_loopback
+from uoarm.plugins import UnreadableFileError, read_text
 
 _TEXT: Mapping[str, Any] = {"type": "string", "minLength": 1}
 _TOPIC: Mapping[str, Any] = {"type": "string", "pattern": r"^[^+#\0]+$", "examples": ["lab/lamp"]}
@@ -43,6 +44,7 @@ _SERVICE: Mapping[str, Any] = {
 
 
 _LONGEST_TOPIC = 65535
+_SECRET_OCTETS = 65536
 # Of a text in a packet, such as a topic: control characters, halves of pairs and non-characters.
 _UNSENDABLE = re.compile(
     "[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef"
@@ -388,8 +390,8 @@ def _password(name: str, options: BrokerOptions) -> str | None:
         return os.environ[variable]
     if file := options.password_file:
         try:
-            return Path(file).read_text(encoding="utf-8").rstrip("\r\n")
-        except (OSError, ValueError) as error:
+            return read_text(Path(file), _SECRET_OCTETS).rstrip("\r\n")
+        except UnreadableFileError as error:
             raise _wrong(name, f"password_file {file!r}: {error}") from None
     return None
 

@@ -28,7 +28,7 @@ from types import ModuleType
 from attrs import field, frozen
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UsageError
-from uoarm.plugins import expanded, user_folder
+from uoarm.plugins import UnreadableFileError, expanded, read_octets, user_folder
 
 _log = logging.getLogger("uoarm.rtm")
 OUR_IDL = Path(__file__).parent / "idl"
@@ -149,14 +149,10 @@ def load_idl(source: str, folder: str = ".") -> Stubs:
 
 def _read(path: Path) -> bytes:
     try:
-        text = path.read_bytes()
-    except OSError as error:
-        reason = f"IDL file {str(path)!r} cannot be read: {error}"
+        return read_octets(path, _MOST_BYTES)
+    except UnreadableFileError as error:
+        reason = f"IDL file {str(path)!r}: {error}"
         raise BridgeError(reason, FailureReason.BAD_ENDPOINT) from error
-    if len(text) > _MOST_BYTES:
-        reason = f"IDL file {str(path)!r} has more than {_MOST_BYTES} bytes"
-        raise BridgeError(reason, FailureReason.BAD_ENDPOINT)
-    return text
 
 
 def _key(text: bytes, directory: Path) -> str:

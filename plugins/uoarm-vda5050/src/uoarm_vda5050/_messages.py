@@ -17,7 +17,7 @@ from uoarm_mqtt.connection import PayloadCodec
 from uoarm.bridge import message_check
 from uoarm.errors import ConfigurationError, MessageError
 from uoarm.model import Budget, Message, MessageStructure, Schema, read_json
-from uoarm.plugins import expanded
+from uoarm.plugins import expanded, read_octets
 from uoarm.schema import newest
 from uoarm_vda5050._releases import HEADER, TOPICS, VdaRelease, body_of
 
@@ -181,20 +181,17 @@ def read_published(folder: str, release: VdaRelease) -> dict[str, Any]:
 
 def _read(file: Path, release: VdaRelease) -> Any:
     try:
-        octets = file.read_bytes()
-        schema = newest(_decoded(octets))
+        schema = newest(_decoded(read_octets(file, _MOST_OCTETS)))
         Draft202012Validator.check_schema(schema)
     except json.JSONDecodeError as error:
         raise ConfigurationError(_no_json(file, error, release)) from None
-    except (OSError, ValueError, RecursionError, SchemaError) as error:
+    except (ValueError, RecursionError, SchemaError) as error:
         report = error.message if isinstance(error, SchemaError) else error
         raise ConfigurationError(f"schemas: {file}: no JSON Schema: {report}") from None
     return schema
 
 
 def _decoded(octets: bytes) -> dict[str, Any]:
-    if len(octets) > _MOST_OCTETS:
-        raise ValueError(f"{len(octets):,} octets; {_MOST_OCTETS:,} are allowed")
     schema = read_json(octets.decode("utf-8-sig"))
     if not isinstance(schema, dict) or not isinstance(schema.get("properties"), dict):
         text = "it is no schema of an object, for want of `properties`"

@@ -409,7 +409,10 @@ class AuditFile(WatchedFileHandler):
             super().close()
 
     def _open(self) -> TextIOWrapper:
-        descriptor = os.open(self.baseFilename, os.O_WRONLY | os.O_APPEND | os.O_CREAT, _AUDIT_MODE)
+        # Of a pipe that no one reads it says so, where it would wait for who does.
+        how = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK
+        descriptor = os.open(self.baseFilename, how, _AUDIT_MODE)
+        os.set_blocking(descriptor, True)
         stream = os.fdopen(descriptor, "a", encoding="utf-8")
         if self._is_broken():  # a disk that was full has half of a line
             stream.write("\n")

@@ -25,6 +25,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Endpoint, Options, Role, is_loopback
+from uoarm.plugins import UnreadableFileError, read_text
 
 _TEXT: Mapping[str, object] = {"type": "string", "minLength": 1}
 _FILE: Mapping[str, object] = {**_TEXT, "x-uoarm-path": True}
@@ -212,10 +213,13 @@ class ServerAccess:
         )
 
 
+_SECRET_OCTETS = 65536
+
+
 def _secret(name: str, path: str) -> str:
     try:
-        text = Path(path).read_text("utf-8").strip()
-    except (OSError, UnicodeError) as error:
+        text = read_text(Path(path), _SECRET_OCTETS).strip()
+    except UnreadableFileError as error:
         raise ConfigurationError(f"bridge {name!r}: {path}: {error}") from error
     if not text or "\n" in text:
         raise ConfigurationError(f"bridge {name!r}: {path}: expected one line with a secret")
