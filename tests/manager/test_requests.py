@@ -301,6 +301,14 @@ def test_of_an_output_that_there_is_not_no_plan_is_shown(make_robot: Make, name:
     assert robot.resolve("narrow.default").function == "narrow"
 
 
+@pytest.mark.parametrize("name", [".x", "narrow.", "."])
+def test_half_of_a_name_is_refused_whole(make_robot: Make, name: str) -> None:
+    robot = make_robot(HEAD + source())
+    for ask in (robot.resolve, robot.request):
+        with pytest.raises(UsageError, match=re.escape(f"function.output, got {name!r}")):
+            ask(name)
+
+
 def test_events_come_numbered_and_in_order(make_robot: Make) -> None:
     robot = make_robot(HEAD + source())
     events: list[StatusEvent] = []

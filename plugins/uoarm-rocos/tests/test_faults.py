@@ -40,7 +40,7 @@ from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, SimulatedRobot, Tcp
 from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import Collector, wait
+from uoarm.testing import Collector, slowness, wait
 
 ANY = MessageStructure(True)
 ODOMETRY = endpoint("robot", "odometry")
@@ -305,7 +305,7 @@ GOOD = {"x": 1.0, "y": 0.0, "heading": 0.0}
 
 
 def test_silence_of_a_flow_degrades_it_and_then_loses_it() -> None:
-    with scripted(grace=0.2) as (_, _got, events):
+    with scripted(grace=0.3 * slowness()) as (_, _got, events):
         said = events.until(lambda item: item.channel is not None)
         assert said.health is Health.DEGRADED
         assert said.cause == "silent: flow odometry of robot: no message for 1 s"

@@ -163,6 +163,8 @@ def _given(plan: Plan, output: str | None, name: str) -> MessageStructure:
 def _reference(name: str) -> PortRef:
     """Read `function` or `function.output`."""
     function, dot, port = name.partition(".")
+    if dot and not (function and port):
+        raise UsageError(f"expected a function, or function.output, got {name!r}")
     return PortRef(function, port if dot else None)
 
 
