@@ -23,6 +23,7 @@ from unittest.mock import AsyncMock, Mock, create_autospec
 import pytest
 from attrs import evolve
 from click.testing import CliRunner, Result
+from tests.processes import run_python
 from tests.server.conftest import Connect, Serve
 from tests.server.lines import LINES
 from tests.server.robot import CONFIGURATION, script
@@ -423,6 +424,28 @@ def test_two_signals_stop_what_moves_and_let_commands_through_again(start: Start
     assert "commands have been refused for" in "".join(reports)
     process.send_signal(signal.SIGUSR2)
     _until(process, "commands are let through again")
+
+
+def test_the_stop_is_taken_before_there_is_a_manager_and_after_it() -> None:
+    done = run_python(
+        "-c",
+        """
+import os
+import signal
+from uoarm import RobotManager
+from uoarm.cli._serve import stop_signals
+from uoarm.config import loads
+from uoarm.testing import wait
+
+with stop_signals() as use:
+    os.kill(os.getpid(), signal.SIGUSR1)
+    with RobotManager(loads("{version: 1, bridges: {python: {}}, functions: {}}")) as manager:
+        use(manager)
+        wait(lambda: manager.is_stopped)
+    os.kill(os.getpid(), signal.SIGUSR1)
+""",
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_stop_is_taken_while_what_is_recorded_opens(start: Start, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +42,7 @@ from uoarm.errors import ConfigurationError, ListenError, UoarmError
 
 if TYPE_CHECKING:
     from uoarm.server import Server, ServerOptions
+    from uoarm.server.access import Audit
 
 _log = logging.getLogger("uoarm")
 _LOOK_SECONDS = 0.5
@@ -151,7 +153,8 @@ def serve(
     if rosbridge_port is not None:
         ports["rosbridge"] = rosbridge_port
     stop_file = stop_file_of(file)
-    with exporting(otlp), open_robot(file, stop_file) as manager:
+    with stop_signals() as use, exporting(otlp), open_robot(file, stop_file) as manager:
+        use(manager)  # before anything is opened: what is may move at once
         with needing("server"):
             from uoarm.server import ServerOptions, run  # noqa: PLC0415 - an extra, and slow
         chosen = ServerOptions(own_certificate=tls is not None, front_end_ports=ports, **settings)
@@ -164,19 +167,18 @@ def serve(
             if announcement is not None:
                 announcement.start(server.ports[0])
 
-        with stopping(manager):  # before anything is opened: what is may move at once
-            manager.offer(timeout=0)  # what fails is in the log and in the status
-            if manager.config.record is not None:
-                try:
-                    manager.record()
-                except UoarmError as error:
-                    print_warning(f"nothing is recorded: {error}")
+        manager.offer(timeout=0)  # what fails is in the log and in the status
+        if manager.config.record is not None:
             try:
-                with _reloading(manager, watch=watch_config), announcement or nullcontext():
-                    run(manager, chosen, ready)
-            except ListenError as error:
-                error.name_option(port_options(chosen))
-                raise
+                manager.record()
+            except UoarmError as error:
+                print_warning(f"nothing is recorded: {error}")
+        try:
+            with _reloading(manager, watch=watch_config), announcement or nullcontext():
+                run(manager, chosen, ready)
+        except ListenError as error:
+            error.name_option(port_options(chosen))
+            raise
 
 
 _LAST_SECONDS = 1.0
@@ -278,29 +280,54 @@ def stop_file_of(configuration: str) -> Path:
 
 
 @contextmanager
-def stopping(manager: RobotManager) -> Iterator[None]:
-    """Stop all at SIGUSR1 and release at SIGUSR2, each in a thread of its own."""
+def stop_signals() -> Iterator[Callable[[RobotManager], None]]:
+    """Stop all at SIGUSR1 and release at SIGUSR2, each in a thread of its own, during the block.
+
+    Around all else: from the program's begin to its end neither signal ends it. What comes before
+    the manager is there is done as soon as this is called with it.
+    """
+    managers: list[RobotManager] = []
+    early: list[Callable[[RobotManager], None]] = []
+    given = threading.Lock()  # from the thread of a signal, against that which gives the manager
+
+    def at_signal(action: Callable[[RobotManager], None]) -> None:
+        with given:
+            if not managers:
+                early.append(action)
+                return
+        action(managers[0])
+
+    def use(manager: RobotManager) -> None:
+        with given:
+            managers.append(manager)
+        for action in early:
+            action(manager)
+
+    with at_signals(SIGUSR1=partial(at_signal, _stop), SIGUSR2=partial(at_signal, _release)):
+        yield use
+
+
+def _stop(manager: RobotManager) -> None:
+    report = manager.stop_all()
+    _audit().stopped("SIGUSR1", "", report)
+    echo(str(report), err=True)
+
+
+def _release(manager: RobotManager) -> None:
+    try:
+        manager.release()
+    except UoarmError as error:
+        _audit().released("SIGUSR2", "", str(error))
+        print_error(error)
+    else:
+        _audit().released("SIGUSR2", "")
+        echo("commands are let through again", err=True)
+
+
+def _audit() -> Audit:
     from uoarm.server.access import Audit  # noqa: PLC0415 - an extra, and slow
 
-    audit = Audit()
-
-    def stop() -> None:
-        report = manager.stop_all()
-        audit.stopped("SIGUSR1", "", report)
-        echo(str(report), err=True)
-
-    def release() -> None:
-        try:
-            manager.release()
-        except UoarmError as error:
-            audit.released("SIGUSR2", "", str(error))
-            print_error(error)
-        else:
-            audit.released("SIGUSR2", "")
-            echo("commands are let through again", err=True)
-
-    with at_signals(SIGUSR1=stop, SIGUSR2=release):
-        yield
+    return Audit()
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from uoarm._raised import foreign, sentence_of
 from uoarm.bridge import Registry
 from uoarm.cli._discover import changed_rows, with_every_plugin
 from uoarm.cli._output import UNWRITTEN, echo, styled
-from uoarm.cli._serve import listening_options, say, stop_file_of, stopping
+from uoarm.cli._serve import listening_options, say, stop_file_of, stop_signals
 from uoarm.cli._shared import (
     DefaultConfiguration,
     Seconds,
@@ -71,16 +71,14 @@ def up(
     until Ctrl-C or SIGTERM, or until what reads it ends. Nothing is written to a file.
     """
     registry = Registry()
-    with reporting(), needing("server"):
+    with stop_signals() as use, reporting(), needing("server"):
         from uoarm.server import ServerOptions, run  # noqa: PLC0415 - an extra, and slow
 
         given = Robot({}, {}) if file is None else load(file, registry.types)
         robot = with_every_plugin(given, registry)
         stop_file = stop_file_of(file or "uoarm up")
-        with (
-            RobotManager(robot, registry=registry, stop_file=stop_file) as manager,
-            stopping(manager),
-        ):
+        with RobotManager(robot, registry=registry, stop_file=stop_file) as manager:
+            use(manager)
             chosen = ServerOptions(host=host, port=port, access=access)
             follower = _Follower(manager, unfed=unfed, as_json=as_json)
             manager.offer(timeout=0)  # what fails is in the log and in the status
