@@ -98,7 +98,8 @@ async def test_the_newest_are_held_and_go_first_when_the_rate_is_lifted(reader: 
     for message in "abcd":
         feed.take(message)
     assert await reader.frames(1) == [b"1 a"]
-    while (made.skipped, len(reader.account.charges)) != (1, 4):  # it may be written before `d` is
+    # `a` may be written before `d` has come this far, of which nothing gives notice.
+    while (made.skipped, len(reader.account.charges)) != (1, 4):  # noqa: ASYNC110
         await asyncio.sleep(0)
     assert reader.memory.kinds[MemoryUse.THROTTLED] > 0
     made.set_rate(0.0, 2)

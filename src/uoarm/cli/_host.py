@@ -137,8 +137,8 @@ def _answer(bridge: str, port: int, file: str) -> None:
         face = XmlRpcServer(
             made, (end for component in mine for end in _endpoints(component)), port
         )
-        echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
         try:
+            echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
             wait_for(threading.Event())
         except (KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how answering ends
             pass
