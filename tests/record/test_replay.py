@@ -401,15 +401,12 @@ def test_a_schema_that_is_none_is_refused_and_not_met_by_a_message(
     made.close()
 
 
-def test_a_schema_of_an_older_draft_is_read_as_one(tmp_path: Path) -> None:
-    draft = "http://json-schema.org/draft-07/schema#"
-    items = {"items": [{"type": "integer"}], "additionalItems": {"$ref": "#/definitions/t"}}
-    schema = {"properties": {"a": items}, "definitions": {"t": {"type": "string"}}}
-    path = tmp_path / "old.mcap"
+def described_from(path: Path, schema: object) -> MessageStructure | None:
+    """Return how a channel with a JSON Schema is described."""
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        text = json.dumps({"$schema": draft, **schema}).encode()
+        text = json.dumps(schema).encode()
         channel = writer.register_channel(
             "/a", "json", writer.register_schema("Old", "jsonschema", text)
         )
@@ -418,11 +415,25 @@ def test_a_schema_of_an_older_draft_is_read_as_one(tmp_path: Path) -> None:
     made = RecordingBridge("tape", PlaybackOptions.of({"file": str(path)}))
     found = made.describe(Endpoint("tape", "x", Role.OUTPUT, ("/a",))).message
     made.close()
+    return found
+
+
+def test_a_schema_of_an_older_draft_is_read_as_one(tmp_path: Path) -> None:
+    draft = "http://json-schema.org/draft-07/schema#"
+    items = {"items": [{"type": "integer"}], "additionalItems": {"$ref": "#/definitions/t"}}
+    schema = {"properties": {"a": items}, "definitions": {"t": {"type": "string"}}}
+    found = described_from(tmp_path / "old.mcap", {"$schema": draft, **schema})
     assert found is not None
     check = message_check(found, "old")
     check({"a": [1, "b"]})
     with pytest.raises(MessageError, match=r"a\.1: expected text"):
         check({"a": [1, 2]})
+
+
+def test_of_a_schema_whose_draft_is_not_known_the_configuration_may_say_what_it_is(
+    tmp_path: Path,
+) -> None:
+    assert described_from(tmp_path / "odd.mcap", {"$schema": "http://elsewhere/meta"}) is None
 
 
 @pytest.mark.parametrize("cut", [1, 30, 300, 1000])

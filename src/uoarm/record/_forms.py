@@ -203,7 +203,8 @@ class ChannelReading:
     """How a channel is read.
 
     Attributes:
-        structure: of its messages; None where the file does not state it.
+        structure: of its messages; None where the file does not state it, or in a draft of JSON
+            Schema that is not known.
         decode: returns the message that octets stand for; raises MessageError.
     """
 
@@ -233,8 +234,7 @@ def reading_of(channel: FileChannel) -> ChannelReading:
             )
         if channel.encoding == "json" and channel.schema_encoding in {"jsonschema", ""}:
             if stated is None and channel.schema_encoding:
-                schema = _logical(_sound(_parsed(channel.schema_data)))
-                stated = MessageStructure(schema, native_type=channel.schema_name)
+                stated = _structure_of(channel)
             return ChannelReading(stated, _json_reader(stated))
     except (MessageError, ValueError) as error:
         text = f"channel {channel.topic}: its schema {channel.schema_name!r:.100}: {error}"
@@ -264,14 +264,23 @@ def _parsed(text: bytes) -> Any:
     return read_json(text)
 
 
-def _sound(schema: Any) -> Any:
-    """Return another program's schema in draft 2020-12; ValueError where it is no JSON Schema."""
-    from jsonschema import Draft202012Validator, SchemaError  # noqa: PLC0415 - when first needed
+def _structure_of(channel: FileChannel) -> MessageStructure | None:
+    """Return the structure that another program wrote, None where its draft is not known."""
+    from uoarm.schema import SchemaError, newest  # noqa: PLC0415 - when first needed
 
-    from uoarm.schema import newest  # noqa: PLC0415 - as above
-
+    schema = _parsed(channel.schema_data)
     try:
         schema = newest(schema)
+    except SchemaError:
+        return None
+    return MessageStructure(_logical(_sound(schema)), native_type=channel.schema_name)
+
+
+def _sound(schema: Any) -> Any:
+    """Return a schema of another program's; raises ValueError where it is no JSON Schema."""
+    from jsonschema import Draft202012Validator, SchemaError  # noqa: PLC0415 - when first needed
+
+    try:
         Draft202012Validator.check_schema(schema)
     except SchemaError as error:
         place = "/".join(map(str, error.absolute_path))
