@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 from typing_extensions import Self
 
@@ -101,6 +103,21 @@ os._exit(0)
 """
 
 
+def frame_of(thread: int) -> FrameType:
+    """Return where a thread of this process is, by its identity.
+
+    Before 3.12 all of CPython may hang where its look at the frames begins a collection of garbage
+    (its issue 106883).
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        return sys._current_frames()[thread]
+    finally:
+        if collects:
+            gc.enable()
+
+
 @contextmanager
 def signal_beside(handle: Callable[[], object], waiting: Callable[..., object]) -> Iterator[None]:
     """Have a signal handled while the main thread waits in a function, once in this block.
@@ -110,7 +127,7 @@ def signal_beside(handle: Callable[[], object], waiting: Callable[..., object]) 
     main = threading.get_ident()
 
     def send() -> None:
-        wait(lambda: sys._current_frames()[main].f_code is waiting.__code__)
+        wait(lambda: frame_of(main).f_code is waiting.__code__)
         signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
 
     before = signal.signal(signal.SIGUSR1, lambda *_: handle())

@@ -19,6 +19,7 @@ from typing import Any, NoReturn
 
 import pytest
 from tests.manager.stage import FACE
+from tests.processes import frame_of
 
 from uoarm import BridgeError, BridgeTimeoutError, RobotManager, _interrupts
 from uoarm._interrupts import Uninterrupted, wait_step
@@ -442,7 +443,7 @@ class Unseen:
             signal.pthread_kill(self._waiter, self._number)
 
     def _is_waiting(self) -> bool:
-        frame: FrameType | None = sys._current_frames()[self._waiter]
+        frame: FrameType | None = frame_of(self._waiter)
         while frame is not None and frame.f_code is not threading.Condition.wait.__code__:
             frame = frame.f_back
         return frame is not None

@@ -102,7 +102,8 @@ def until_the_end(process: subprocess.Popen[str]) -> list[str]:
 
 
 _UNSEEN = """
-import signal, sys, threading
+import gc, signal, sys, threading
+gc.disable()  # before 3.12 CPython may hang in a look at frames (its issue 106883)
 sys.path.insert(0, sys.argv[1])
 from drive_to import typed_lines
 
