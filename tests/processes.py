@@ -18,6 +18,20 @@ from typing_extensions import Self
 from uoarm.testing import patience, wait
 
 _LAST_OCTETS = 4000
+SIGNALS_AS_IT_OPENS = """
+import os
+import signal
+from collections.abc import Iterator
+
+
+class Early:
+    def __init__(self) -> None:
+        os.kill(os.getpid(), signal.SIGUSR1)
+
+    def __iter__(self) -> Iterator[int]:
+        yield 1
+"""
+"""A module with a component whose program gets SIGUSR1 as it opens."""
 
 
 def run_program(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from tests.processes import run_python
+from tests.processes import SIGNALS_AS_IT_OPENS, run_python
 from tests.record.conftest import of_topic
 
 from uoarm import RobotManager
@@ -166,22 +166,9 @@ def test_a_ring_is_written_at_a_signal(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="this system has no such signal")
 def test_the_signal_ends_nothing_that_opens_still(tmp_path: Path) -> None:
-    parts = """
-import os
-import signal
-from collections.abc import Iterator
-
-
-class Early:
-    def __init__(self) -> None:
-        os.kill(os.getpid(), signal.SIGUSR1)
-
-    def __iter__(self) -> Iterator[int]:
-        yield 1
-"""
     file = make(tmp_path)
     file.write_text(ROBOT.replace("parts:few", "early:Early"))
-    (tmp_path / "early.py").write_text(parts)
+    (tmp_path / "early.py").write_text(SIGNALS_AS_IT_OPENS)
     path = str(tmp_path / "run.mcap")
     words = ["record", "-f", str(file), "few", "-o", path, "--ring", "60"]
     done = run_python("-c", "from uoarm.cli import main; main()", *words)

@@ -23,7 +23,7 @@ from unittest.mock import AsyncMock, Mock, create_autospec
 import pytest
 from attrs import evolve
 from click.testing import CliRunner, Result
-from tests.processes import run_python
+from tests.processes import SIGNALS_AS_IT_OPENS, run_python
 from tests.server.conftest import Connect, Serve
 from tests.server.lines import LINES
 from tests.server.robot import CONFIGURATION, script
@@ -449,20 +449,7 @@ with stop_signals() as use:
 
 
 def test_the_stop_is_taken_while_what_is_recorded_opens(start: Start, tmp_path: Path) -> None:
-    parts = """
-import os
-import signal
-from collections.abc import Iterator
-
-
-class Early:
-    def __init__(self) -> None:
-        os.kill(os.getpid(), signal.SIGUSR1)
-
-    def __iter__(self) -> Iterator[int]:
-        yield 1
-"""
-    (tmp_path / "early.py").write_text(parts)
+    (tmp_path / "early.py").write_text(SIGNALS_AS_IT_OPENS)
     (tmp_path / "robot.yaml").write_text("""
 version: 1
 bridges: {python: {}}
