@@ -171,6 +171,8 @@ def test_a_lock_that_cannot_be_written_is_said_with_the_name_that_was_given(
 def test_a_name_that_no_file_can_have_is_an_error_and_no_crash(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
 ) -> None:
+    if "--recording" in words:
+        pytest.importorskip("rosbags", reason="pip install -e '.[bags]'")
     monkeypatch.chdir(tmp_path)
     Path("robot.yaml").write_text("version: 1\nbridges: {}\nfunctions: {}\n")
     done = CliRunner().invoke(main, [*words, f"./{'long' * 100}.yaml"])
