@@ -208,7 +208,6 @@ mcd cd 1/1000
 60.s min 1
 mol mmol 1000
 mmol/L mol/m3 1
-u kg 1.66053906892e-27
 K mK 1000
 K [degF]/1 9/5
 """
@@ -258,6 +257,7 @@ N.m [lbf_av].[in_i] 8.850746
 kW [HP] 1.341022
 [oz_av].[in_i]2 kg.m2 1.829e-5
 a d 365.25
+u kg 1.660539e-27
 """
 
 

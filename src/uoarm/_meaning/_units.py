@@ -68,7 +68,7 @@ class _Unit:
 # UCUM's codes by their names in pint, where they differ; and names that people write.
 _IN_PINT: Mapping[str, str] = {
     "Cel": "degC", "cel": "degC", "°C": "degC", "[degF]": "degF", "°F": "degF", "[degR]": "degR",
-    "[degRe]": "degRe", "°": "degree", "'": "arcminute", "''": "arcsecond", "gon": "gradian",
+    "[degRe]": "degRe", "°": "degree", "'": "arcminute", "''": "arcsecond", "gon": "grade",
     "circ": "turn", "[in_i]": "inch", "[ft_i]": "foot", "[yd_i]": "yard", "[mi_i]": "mile",
     "[nmi_i]": "nautical_mile", "[kn_i]": "knot", "[lb_av]": "pound", "[oz_av]": "ounce",
     "[lbf_av]": "pound_force", "[psi]": "psi", "[g]": "standard_gravity", "[gal_us]": "gallon",
@@ -80,8 +80,8 @@ _IN_PINT: Mapping[str, str] = {
 }  # fmt: skip
 # Those that have prefixes. Pint's own Nm is of yarns, its rads of radiation.
 _PREFIXED: Mapping[str, str] = {
-    "m[Hg]": "meter_Hg", "m[H2O]": "meter_H2O", "Ohm": "ohm", "By": "byte", "G": "si_gauss",
-    "gauss": "si_gauss", "Nm": "newton_meter", "rads": "radian",
+    "m[Hg]": "meter_of_mercury", "m[H2O]": "meter_of_water", "Ohm": "ohm", "By": "byte",
+    "G": "si_gauss", "gauss": "si_gauss", "Nm": "newton_meter", "rads": "radian",
 }  # fmt: skip
 _EXPRESSIONS: Mapping[str, str] = {
     "rpm": "{rev}/min", "{rpm}": "{rev}/min", "kmh": "km/h", "Ah": "A.h", "mAh": "mA.h",
@@ -101,6 +101,7 @@ min minim minute mo mol molar mole molec molecule month mph N newton Np Ohm ohm 
 pascal percent pole pond pound poundal ppm psi rad radian rads rev revolution rod S s sec second
 section siemens slinch sqdeg sr statampere statcoulomb statfarad stathenry steradian srd stone
 strain Sv T t tesla thou ton tonne Torr torr turn V volt W watt Wb wb weber week wk yard year
+carat karat
 """
 _NAMES = frozenset(_WORDS.split())
 _PREFIX_WORDS = """
@@ -175,6 +176,9 @@ def _registry() -> Any:
     # Pint's own has the dimensions of Gaussian units, and fits no tesla.
     registry.define("si_gauss = 1e-4 * tesla")
     registry.define("newton_meter = newton * meter")
+    # Pint for CPython 3.10 has neither.
+    registry.define("meter_of_water = 9806.65 * pascal")
+    registry.define("meter_of_mercury = 133322.387415 * pascal")
     return registry
 
 
