@@ -13,7 +13,7 @@ from urllib.parse import unquote
 from attrs import frozen
 
 from uoarm.schema._errors import SchemaError
-from uoarm.schema._parts import LISTS, MAPS, SINGLES
+from uoarm.schema._parts import LISTS, MAPS, SINGLES, at_step
 from uoarm.schema.read import NEWEST, REFERENCES, Dialect, dialect_of
 
 _Steps: TypeAlias = "tuple[str | int, ...]"
@@ -132,25 +132,15 @@ class _Rewriting:
         # By a name, or to what is not here, it leads where it did.
         if address not in {"", self._address} or (fragment and not fragment.startswith("/")):
             return reference
-        found = self._at(unquote(fragment))
+        found: Any = self._whole
+        for step in unquote(fragment).split("/")[1:]:
+            found = at_step(found, step)
         if isinstance(found, bool):
             return found
         if id(found) not in self._places:
             place = _pointer((*self._places[id(part)].before, "$ref"))
             raise SchemaError(place, "a reference to a part that is a schema", reference)
         return _pointer(self._places[id(found)].after)
-
-    def _at(self, pointer: str) -> Any:
-        found: Any = self._whole
-        for step in pointer.split("/")[1:]:
-            name = step.replace("~1", "/").replace("~0", "~")
-            if isinstance(found, Mapping):
-                found = found.get(name)
-            elif isinstance(found, list) and name.isdecimal() and int(name) < len(found):
-                found = found[int(name)]
-            else:
-                return None
-        return found
 
 
 def _parts_of(view: Mapping[str, Any]) -> Iterator[tuple[str, _Steps, Any]]:

@@ -46,16 +46,19 @@ def follow(document: Any, reference: object) -> Any:
         return next(named, None)
     found = document
     for step in fragment.split("/")[1:]:
-        name = step.replace("~1", "/").replace("~0", "~")
-        if isinstance(found, Mapping):
-            found = found.get(name)
-        elif isinstance(found, list | tuple) and name.isdecimal() and int(name) < len(found):
-            found = found[int(name)]
-        else:
-            return None
+        found = at_step(found, step)
         if document_of(found, document) is not document:
             return None
     return found if isinstance(found, Mapping | bool) else None
+
+
+def at_step(part: Any, step: str) -> Any:
+    """Return what a step of a JSON pointer leads to in a part; None where there is nothing."""
+    name = step.replace("~1", "/").replace("~0", "~")
+    if isinstance(part, Mapping):
+        return part.get(name)
+    is_place = isinstance(part, list | tuple) and name.isdecimal() and int(name) < len(part)
+    return part[int(name)] if is_place else None
 
 
 def document_of(schema: Any, document: Any) -> Any:
