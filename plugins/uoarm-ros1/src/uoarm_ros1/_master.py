@@ -79,10 +79,9 @@ def call_api(
         body = _exchange(host, port, encode_call(method, arguments), time.monotonic() + seconds)
         reason = FailureReason.BAD_MESSAGE
         result = decode_reply(body)
-    except Fault as error:
-        text = failure_text(f"{method}: {what}", host, port, error)
-        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
-    except (OSError, ProtocolError) as error:
+    except (OSError, ProtocolError, Fault) as error:
+        if isinstance(error, Fault):  # which can be read
+            reason = FailureReason.UNAVAILABLE
         text = failure_text(f"{method}: {what}", host, port, error)
         raise BridgeError(text, reason) from error
     if not isinstance(result, list) or len(result) != _RESULT or type(result[0]) is not int:

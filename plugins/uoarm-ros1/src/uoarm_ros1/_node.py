@@ -80,10 +80,8 @@ class Node:
         self._subscriptions: dict[str, tuple[TopicSubscription, ...]] = {}
         self._services: dict[str, Arrived] = {}
         self._parameters: dict[str, tuple[ParameterListener, ...]] = {}
-        self._updated: tuple[tuple[str, Any], int] = (
-            ("", None),
-            0,
-        )  # the last, and how often it came
+        # The last change of a parameter, and how often it came.
+        self._updated: tuple[tuple[str, Any], int] = ("", None), 0
         self._tables: Mapping[str, Mapping[str, object]] = {
             "publisher": self._publications,
             "subscriber": self._subscriptions,
