@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
+from textwrap import dedent
 
 import click
 import pytest
@@ -145,9 +146,14 @@ def test_what_this_user_may_not_read_is_a_file_that_cannot_be_read(
     """Root may read it all the same, but for the capabilities that are dropped here."""
     (tmp_path / "robot.yaml").write_text(ROBOT, encoding="utf-8")
     (tmp_path / "locked.yaml").touch(mode=0)
-    drop = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
-    run_main = [sys.executable, "-c", "from uoarm.cli import main; main()", *words, "locked.yaml"]
-    done = run_program(*([] if os.geteuid() else drop), *run_main, cwd=tmp_path)
+    drop = """
+        import ctypes, os, sys
+        for capability in (1, 2):  # CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH of linux/capability.h
+            ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP
+        os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+    """
+    run_main = ["-c", "from uoarm.cli import main; main()", *words, "locked.yaml"]
+    done = run_program(sys.executable, "-c", dedent(drop), *run_main, cwd=tmp_path)
     assert done.returncode == 3, done.stderr
     expected = "error: locked.yaml: the file cannot be read: Permission denied\n"
     assert done.stderr.startswith(expected), done.stderr

@@ -108,7 +108,7 @@ LEAKS = {
     ),
     "subprocess.Popen(['sleep', '1000']).returncode = 0": "process *: sleep 1000",
     "subprocess.run('sleep 1000 & sleep 1000 & exit', shell=True)": "process *: sleep 1000",
-    "subprocess.run(['setsid', '-f', 'sleep', '1000'])": "process *sleep 1000",
+    "subprocess.run([sys.executable, '-c', daemon])": "process *: sleep 1000",
     "kept.append(socket.socket())": "descriptor of socket:*",
     "os.pipe()": "descriptor of pipe:*",
     "tempfile.mkdtemp(prefix='stray')": "temporary *stray*",
@@ -118,10 +118,11 @@ LEAKS = {
     "locale.setlocale(locale.LC_ALL, 'C')": "the locale changed*",
 }
 TESTS["leaking"] = f"""
-    import locale, os, signal, socket, subprocess, tempfile, threading
+    import locale, os, signal, socket, subprocess, sys, tempfile, threading
     import pytest
 
     kept = []
+    daemon = "import subprocess; subprocess.Popen(['sleep', '1000'], start_new_session=True)"
 
     def test_before():
         pass

@@ -6,7 +6,6 @@ import json
 import logging
 import os
 import ssl
-import subprocess
 import threading
 from collections.abc import Callable
 from datetime import datetime, timedelta, timezone
@@ -21,12 +20,12 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.typing import Origin, Subprotocol
 
 from uoarm import RobotManager
+from uoarm._support.certificates import Authority
 from uoarm.errors import ConfigurationError
 from uoarm.model import StatusEvent
 from uoarm.server import Server, hash_token, make_token
 from uoarm.server.access._access_file import BUDGET, read_access
 from uoarm.server.access._role import AccessPolicy, AccessRole, Grant, Operation
-from uoarm.testing import patience
 
 Write = Callable[..., Path]
 JSON = Subprotocol("uoarm.v1.json")
@@ -327,15 +326,9 @@ def test_an_audit_log_that_cannot_be_written_keeps_the_server_from_starting(
 
 
 def test_tls_is_spoken_where_there_is_a_certificate(serve: Serve, tmp_path: Path) -> None:
-    certificate, key = tmp_path / "cert.pem", tmp_path / "key.pem"
-    subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
-         "-nodes", "-keyout", key, "-out", certificate, "-days", "1", "-subj", "/CN=localhost",
-         "-addext", "subjectAltName=IP:127.0.0.1"],
-        check=True, capture_output=True, timeout=patience(),
-    )  # fmt: skip
-    server = serve(certificate=certificate, key=key)
-    trust = ssl.create_default_context(cafile=certificate)
+    certificate = Authority.of(tmp_path).certify_manager(["127.0.0.1"], days=1)
+    server = serve(certificate=certificate, key=certificate.with_suffix(".key"))
+    trust = ssl.create_default_context(cafile=tmp_path / "ca.pem")
     with Talk(f"wss://127.0.0.1:{server.ports[0]}/", ssl=trust) as client:
         assert client.ask("Call", "add", {"a": 1, "b": 1}) == {"value": 2}
     with pytest.raises(ConfigurationError, match="TLS"):
