@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import json
 import struct
@@ -10,7 +11,7 @@ import weakref
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
-from unittest.mock import Mock
+from unittest.mock import AsyncMock, MagicMock, Mock
 
 import components
 import pytest
@@ -22,12 +23,14 @@ from uoarm_foxglove._catalogue import (
     ListingQuestion,
     VisibleListing,
 )
+from uoarm_foxglove._front_end import FoxgloveSession
 from viewer import SUBPROTOCOLS, Serve, Viewer
 
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import Limits, ServerOptions, serve_in_thread
 from uoarm.server.access import AccessRole, hash_token, make_token
+from uoarm.server.front_end import BusyError
 from uoarm.testing import MemoryBridge, patience, wait
 
 HEADER = b"\0\1\0\0"
@@ -93,6 +96,21 @@ def test_a_viewer_that_can_be_shown_nothing_is_warned(
     with Viewer(serve()) as viewer:
         assert "its log says more" in viewer.until("status")["message"]
     assert "a fault of this catalogue" in caplog.text
+
+
+@pytest.mark.parametrize("turns", range(4))
+async def test_a_viewer_that_goes_as_it_asks_is_shown_nothing_more(turns: int) -> None:
+    catalogue = Mock(answer=AsyncMock(side_effect=BusyError("too busy")))
+    session = FoxgloveSession(Mock(identity="viewer"), MagicMock(), catalogue)
+    for _ in range(4):
+        await asyncio.sleep(0)
+    session._look_now.set()
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    session.close()
+    for _ in range(4):
+        await asyncio.sleep(0)
+    assert session._showing.cancelled()
 
 
 def test_of_a_role_that_asks_no_more_nothing_is_kept(robot: RobotManager) -> None:

@@ -7,7 +7,6 @@ import functools
 import logging
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from typing import Any, TypeVar
 
 from uoarm import __version__
@@ -171,8 +170,12 @@ class FoxgloveSession:
                 for frame in frames:
                     await self._client.outbox.room(len(frame))
                     self._client.outbox.reply(frame, text=True)
-            with suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._look_now.wait(), _LOOK_SECONDS)
+            # Before CPython 3.12, `asyncio.wait_for` may lose the cancellation of `close`.
+            timer = asyncio.get_running_loop().call_later(_LOOK_SECONDS, self._look_now.set)
+            try:
+                await self._look_now.wait()
+            finally:
+                timer.cancel()
 
     def _take_end(self, showing: asyncio.Task[None]) -> None:
         """Say that the viewer is shown nothing more, where that was not asked for."""
