@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -173,6 +173,28 @@ def hold_ends_all(*command: str) -> None:
     assert "Traceback" not in said, said
     assert process.returncode == 130, said
     assert not [child for child in started if lives(child)]
+
+
+def hold_dies_whole(*command: str, after: str, env: Mapping[str, str] | None = None) -> None:
+    """Hold that all that a program started ends when it is killed, once it has printed some words.
+
+    Raises:
+        AssertionError: it has started nothing, or what it started lives on.
+    """
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, stdout=pipe, text=True, start_new_session=True, env={**os.environ, **(env or {})}
+    ) as process:
+        assert process.stdout is not None
+        assert any(after in line for line in process.stdout)
+        started = [child for child in _of_session(process.pid) if child != process.pid]
+        process.kill()
+        try:
+            wait(lambda: not any(map(lives, started)), f"what {command} started lives on")
+        finally:
+            with suppress(ProcessLookupError):  # as it should be
+                os.killpg(process.pid, signal.SIGKILL)
+    assert started, f"{command} has started nothing that could be left"
 
 
 def _of_session(session: int) -> Iterator[int]:

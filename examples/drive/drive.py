@@ -48,16 +48,19 @@ def main() -> int:
         print(f"{text}; --page-port takes another", file=sys.stderr)
         return 2
     page = f"http://127.0.0.1:{pages.server_port}"
-    serve = [sys.executable, "-m", "uoarm", "serve", str(HERE / "robot.yaml"), "--origin", page]
-    parts = {
-        "base.py": subprocess.Popen([sys.executable, str(HERE / "base.py")]),
-        "uoarm serve": subprocess.Popen([*serve, "--port", str(options.robot_port)]),
-    }
-    drive = f"{page}/?robot=ws://127.0.0.1:{options.robot_port}/"
-    print(f"open {drive} to drive; Ctrl-C ends", flush=True)
+    run = ("setpriv", "--pdeathsig", "TERM", sys.executable)  # ends when this process is killed
+    serve = (*run, "-m", "uoarm", "serve", str(HERE / "robot.yaml"), "--origin", page)
+    parts: dict[str, subprocess.Popen[bytes]] = {}
     with pages:
         threading.Thread(target=pages.serve_forever, daemon=True).start()
         try:
+            parts["base.py"] = subprocess.Popen((*run, str(HERE / "base.py")))
+            parts["uoarm serve"] = server = subprocess.Popen(
+                (*serve, "--port", str(options.robot_port)), stdout=subprocess.PIPE
+            )
+            assert server.stdout is not None
+            if served := server.stdout.readline().decode():  # "serving ADDRESS ...", or it ends
+                print(f"open {page}/?robot={served.split()[1]} to drive; Ctrl-C ends", flush=True)
             return until_one_ends(parts)
         except KeyboardInterrupt:
             return 0

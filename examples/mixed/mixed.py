@@ -52,10 +52,11 @@ class Parts:
         return f"http://127.0.0.1:{self.master}"
 
     def start(self, name: str) -> None:
-        """Start a part."""
+        """Start a part, which the kernel ends when this process is killed."""
+        command = ("setpriv", "--pdeathsig", "KILL", *self._command(name))
         with (self.folder / f"{name}.log").open("ab") as log:
             self._processes[name] = subprocess.Popen(
-                self._command(name), stdout=log, stderr=log, env=self._environment()
+                command, stdout=log, stderr=log, env=self._environment()
             )
 
     def kill(self, name: str) -> None:

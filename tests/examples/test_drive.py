@@ -12,14 +12,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.processes import run_python
+from tests.processes import hold_dies_whole, run_python
 from tests.server.browser import Browser, find_chromium
 
 from uoarm.testing import patience, wait
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "drive"
 DOMAIN = str(64 + os.getpid() % 38)
+PORTS = ("--robot-port", "0", "--page-port", "0")
 pytestmark = pytest.mark.needs("chromium", "ros2")
+
+
+def environment(folder: Path) -> dict[str, str]:
+    return {
+        "ROS_DOMAIN_ID": DOMAIN,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "XDG_STATE_HOME": str(folder),
+    }
 
 
 class Drive:
@@ -32,19 +41,12 @@ class Drive:
         lasting = robot.read_text().replace("lifetime: 0.5", f"lifetime: {patience()}")
         robot.write_text(lasting.replace("duration: 1.0", f"duration: {patience()}"))
         self._output = folder / "out"
-        ports = ["--robot-port", "0", "--page-port", "0"]
-        self.environment = {
-            **os.environ,
-            "ROS_DOMAIN_ID": DOMAIN,
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "XDG_STATE_HOME": str(folder),
-        }
         with self._output.open("wb") as out:
             self.process = subprocess.Popen(
-                [sys.executable, str(copy / "drive.py"), *ports],
+                [sys.executable, str(copy / "drive.py"), *PORTS],
                 stdout=out,
                 stderr=subprocess.STDOUT,
-                env={**self.environment, "PYTHONUNBUFFERED": "1"},
+                env={**os.environ, **environment(folder)},
             )
 
     @property
@@ -71,13 +73,14 @@ def drive(tmp_path: Path) -> Iterator[Drive]:
 
 
 def test_the_base_drives_while_a_button_is_held(drive: Drive) -> None:
-    robot = drive.address(r"serving (ws://\S+?/)")
-    page = drive.address(r"open (http://\S+?/)")
+    page = drive.address(r"open (http://\S+)")
+    robot = page.partition("?robot=")[2]
+    assert run_python("-m", "uoarm", "status", "--url", robot).returncode == 0, "is it served?"
     program = find_chromium()
     assert program is not None
     with Browser(program) as browser:
         browser.show(400, 700)
-        browser.go(f"{page}?robot={robot}")
+        browser.go(page)
         browser.until("document.getElementById('place')?.textContent.includes('m/s')")
         middle = (
             "const {x, y, width, height} = document.querySelector('button').getBoundingClientRect()"
@@ -100,3 +103,8 @@ def test_the_base_drives_while_a_button_is_held(drive: Drive) -> None:
     driven = run_python(*terminal, "--seconds", "0.5")
     assert driven.returncode == 0
     wait(lambda: drive.moves()[-2:] == ["driving at 0.20 m/s", "standing still"])
+
+
+def test_no_part_outlives_it(tmp_path: Path) -> None:
+    command = (sys.executable, str(EXAMPLE / "drive.py"), *PORTS)
+    hold_dies_whole(*command, after="to drive", env=environment(tmp_path))

@@ -6,7 +6,7 @@ import re
 import sys
 from pathlib import Path
 
-from tests.processes import hold_ends_all, run_python
+from tests.processes import hold_dies_whole, hold_ends_all, run_python
 
 from uoarm.testing import free_port
 
@@ -39,3 +39,8 @@ def test_what_are_no_three_ports_is_refused() -> None:
 
 def test_a_signal_ends_every_vehicle() -> None:
     hold_ends_all(sys.executable, str(DESK), *(str(free_port()) for _ in range(3)))
+
+
+def test_no_vehicle_outlives_the_desk() -> None:
+    ports = (str(free_port()) for _ in range(3))
+    hold_dies_whole(sys.executable, str(DESK), *ports, after="has delivered")

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.processes import hold_ends_all, run_python
+from tests.processes import hold_dies_whole, hold_ends_all, run_python
 
 from uoarm.testing import patience
 
@@ -30,3 +30,8 @@ def test_the_camera_is_replaced_and_returned_to(alone: tuple[str, ...]) -> None:
 
 def test_a_signal_ends_every_part() -> None:
     hold_ends_all(sys.executable, "-u", str(SCRIPT))
+
+
+def test_no_part_outlives_it(tmp_path: Path) -> None:
+    after, env = "the application gets pictures", {"TMPDIR": str(tmp_path)}
+    hold_dies_whole(sys.executable, "-u", str(SCRIPT), after=after, env=env)
