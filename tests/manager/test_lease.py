@@ -207,3 +207,24 @@ def test_of_two_stops_at_once_no_command_before_the_later_one_passes(memory: Mem
         later.result()
         with pytest.raises(CommandRefusedError, match="stopped the input while the command waited"):
             way._admit(waits)
+
+
+@pytest.mark.parametrize("raised", [OSError("no link"), SystemExit(1)])
+def test_a_command_that_failed_behind_a_stop_is_stopped_again(
+    memory: MemoryBridge, raised: BaseException
+) -> None:
+    base = memory.taker("base", {"type": "number"})
+    with open_robot(memory) as robot:
+        connection = robot.request("drive")
+        connection.send(5)
+        way = connection._ports().sender(None)
+
+        def arrive_late(command: _Command) -> None:
+            connection.stop(timeout=patience())
+            way._live._sinks["default"].send(command.message)
+            raise raised
+
+        way._pass_on = arrive_late
+        with pytest.raises(type(raised)):
+            way._hand_command(_Command(7, LeaseHolder("me"), 0, boot_seconds()))
+        assert base.taken.messages == [5, 0, 7, 0]

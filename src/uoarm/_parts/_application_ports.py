@@ -279,7 +279,7 @@ class Sender:
             self._pass_on(command)
         except CommandRefusedError:
             raise
-        except Exception:
+        except BaseException:
             self._halt_again(command)  # it may have arrived all the same
             raise
         self._halt_again(command)
