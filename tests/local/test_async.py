@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from tests.local import talk
-from tests.local.typed_parts import Started
+from tests.local.typed_parts import Started, leave_behind, wait_long
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.local._loop import Coroutines, LoopThread
@@ -54,6 +54,28 @@ def test_an_asynchronous_generator_is_a_source(caplog: pytest.LogCaptureFixture)
     assert described.native_type == "Count"
     assert talk.given("counting", 3) == THREE
     assert not caplog.records
+
+
+def test_who_stops_the_loop_stops_no_other_component() -> None:
+    with talk.bridge() as made:
+        for name, value in (("stop_the_loop", 1), ("add", 2), ("stop_the_loop", 3)):
+            endpoint = talk.at(name, Role.SERVICE)
+            reply = made.call(endpoint, {"value": value}, timeout=patience())
+            assert reply == {"value": value + (name == "add")}
+
+
+def test_a_task_that_raises_as_the_loop_ends_keeps_no_other_from_its_end(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    loop = LoopThread("ends")
+    coroutines = Coroutines(loop, patience())
+    coroutines.run("leaves", leave_behind({"value": 1}))
+    waits = Background(lambda: coroutines.run("waits", wait_long({"value": 1})))
+    assert Started.begun.wait(patience())
+    loop.close()
+    with pytest.raises(BridgeError, match="was cancelled: it closes"):
+        waits.result()
+    assert "a task that a component left behind raised" in caplog.text
 
 
 def test_an_asynchronous_class_is_closed_in_the_loop() -> None:

@@ -199,6 +199,7 @@ class Started:
     cancelled = threading.Event()
     begun = threading.Event()
     threads: set[str] = set()  # noqa: RUF012 - of all of them
+    left: asyncio.Task[None]
 
 
 async def wait_long(message: Number) -> Number:
@@ -215,6 +216,26 @@ async def add(message: Number) -> Number:
     Started.threads.add(threading.current_thread().name)
     await asyncio.sleep(0)
     return {"value": message["value"] + 1}
+
+
+async def stop_the_loop(message: Number) -> Number:
+    asyncio.get_running_loop().stop()
+    await asyncio.sleep(0)
+    return message
+
+
+async def leave_behind(message: Number) -> Number:
+    """Leave a task that raises what ends a thread as the loop ends."""
+
+    async def quit_late() -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            raise KeyboardInterrupt
+
+    Started.left = asyncio.create_task(quit_late())
+    await asyncio.sleep(0)
+    return message
 
 
 async def count_up(message: Number) -> AsyncIterator[Number]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 import threading
-from collections.abc import AsyncIterator, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
@@ -33,6 +33,7 @@ class LoopThread:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self._is_closed = False
+        self._is_stopped = False  # in the loop's thread
 
     @property
     def is_closed(self) -> bool:
@@ -67,7 +68,7 @@ class LoopThread:
             loop, self._loop = self._loop, None
         if loop is None or self._thread is None:
             return
-        loop.call_soon_threadsafe(loop.stop)
+        loop.call_soon_threadsafe(self._stop, loop)
         self._thread.join(_CLOSE_SECONDS)
 
     def _started(self) -> asyncio.AbstractEventLoop:
@@ -76,7 +77,7 @@ class LoopThread:
 
             loop = asyncio.new_event_loop()
             loop.set_default_executor(WorkerExecutor(f"{self._name}-wait", _WAITING))
-            thread = threading.Thread(target=_work, args=(loop,), name=self._name, daemon=True)
+            thread = threading.Thread(target=self._work, args=(loop,), name=self._name, daemon=True)
             try:
                 thread.start()
             except RuntimeError:  # the system gives no more threads
@@ -84,6 +85,33 @@ class LoopThread:
                 raise
             self._loop, self._thread = loop, thread
         return self._loop
+
+    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._is_stopped = True
+        loop.stop()
+
+    def _work(self, loop: asyncio.AbstractEventLoop) -> None:
+        def serve() -> None:
+            while not self._is_stopped:  # a component may stop the loop, which serves others, too
+                loop.run_forever()
+
+        try:
+            _run_through(serve)
+            _run_through(lambda: loop.run_until_complete(_cancel_others()))
+            _run_through(lambda: loop.run_until_complete(loop.shutdown_asyncgens()))
+        finally:
+            loop.close()
+
+
+def _run_through(run: Callable[[], None]) -> None:
+    """Run a loop to the end, whatever the tasks raise that components have left in it."""
+    records = LimitedLog(_log)
+    while True:
+        try:
+            return run()
+        except BaseException as error:  # noqa: BLE001 - the loop serves other components, too
+            text = "a task that a component left behind raised"
+            records.write(logging.ERROR, text, error)
 
 
 async def _outcome(coroutine: Coroutine[Any, Any, Any]) -> _Outcome:
@@ -103,28 +131,6 @@ def _close_unbegun(coroutine: Coroutine[Any, Any, Any]) -> None:
     if inspect.getcoroutinestate(coroutine) == inspect.CORO_CREATED:
         with suppress(ValueError):  # it begins just now
             coroutine.close()
-
-
-def _work(loop: asyncio.AbstractEventLoop) -> None:
-    try:
-        _run_until_stopped(loop)
-        loop.run_until_complete(_cancel_others())
-        loop.run_until_complete(loop.shutdown_asyncgens())
-    finally:
-        loop.close()
-
-
-def _run_until_stopped(loop: asyncio.AbstractEventLoop) -> None:
-    """Run a loop until `stop`, whatever the tasks raise that components have left in it."""
-    records = LimitedLog(_log)
-    while True:
-        try:
-            loop.run_forever()
-        except BaseException as error:  # noqa: BLE001 - the loop serves other components, too
-            text = "a task that a component left behind raised"
-            records.write(logging.ERROR, text, error)
-        else:
-            return
 
 
 async def _cancel_others() -> None:
