@@ -23,6 +23,7 @@ from uoarm.bridge._compiled_check import judged
 from uoarm.bridge._full_validator import _key
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, ValidationMode
+from uoarm.testing import Background
 
 OCTETS = {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}}
 IMAGE = MessageStructure(
@@ -66,6 +67,30 @@ def test_a_value_that_is_none_of_json_is_refused_as_a_message(schema: Any, messa
     assert checker is not None
     with pytest.raises(MessageError, match=r"camera\.default: "):
         checker(message)
+
+
+class Quits(dict[str, Any]):
+    """What a component gives, and ends whatever thread looks into it."""
+
+    def __init__(self, kind: type[BaseException]) -> None:
+        self.kind = kind
+
+    def __len__(self, *_: object) -> Any:
+        raise self.kind
+
+    __iter__ = __contains__ = __getitem__ = get = items = keys = __repr__ = __len__
+
+
+@pytest.mark.parametrize("kind", [SystemExit, KeyboardInterrupt, ValueError])
+@pytest.mark.parametrize("schema", [IMAGE.schema, {"type": "integer"}, {"minProperties": 1}])
+def test_a_value_that_raises_as_it_is_checked_is_refused_as_a_message(
+    kind: type[BaseException], schema: Any
+) -> None:
+    checker = make_check(MessageStructure(schema), ValidationMode.ALWAYS, "camera.default")
+    assert checker is not None
+    checks = Background(lambda: checker(Quits(kind)))
+    with pytest.raises(MessageError, match=r"camera\.default: "):
+        checks.result()
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from attrs import define, field
 
 from uoarm._encodable import encodable, is_encodable, shown
 from uoarm._mistakes import mistakes
+from uoarm._raised import contained, text_of
 from uoarm._spelling import Speller
 from uoarm._support.yaml import Path, clip
 from uoarm.bridge._compiled_check import Accepts, compile_check, judging
@@ -48,8 +49,9 @@ def message_check(structure: MessageStructure, place: str) -> Callable[[Message]
         # Both may go as deep as the message, which a peer chose: it is refused, and no thread ends.
         except RecursionError:
             raise MessageError(f"{place}: the message is nested too deep") from None
-        except Exception as error:  # an array compared with a known value raises, say
-            text = f"{place}: the message cannot be held against its structure: {error!s:.200}"
+        except BaseException as error:  # an array compared with a known value raises, say
+            why = text_of(contained(error))
+            text = f"{place}: the message cannot be held against its structure: {why:.200}"
             raise MessageError(text) from error
         if mismatch:
             raise MessageError(f"{place}: {mismatch}")
