@@ -293,6 +293,33 @@ def test_what_was_begun_is_undone_whatever_ends_the_block(raised: BaseException)
     assert (caught.value, undone) == (raised, ["first"])
 
 
+@pytest.mark.parametrize("raised", [ValueError("no"), KeyboardInterrupt()], ids=repr)
+def test_an_undoing_that_fails_hides_not_what_ended_the_block(
+    raised: BaseException, caplog: pytest.LogCaptureFixture
+) -> None:
+    def undo() -> None:
+        raise SystemExit("the disk is full")
+
+    with pytest.raises(type(raised)) as caught, on_failure(undo):
+        raise raised
+    assert caught.value is raised
+    (record,) = caplog.records
+    text = "what failed could not be undone: SystemExit: the disk is full"
+    assert (record.levelname, record.message) == ("ERROR", text)
+
+
+def test_an_interrupt_waits_until_what_was_begun_is_undone() -> None:
+    undone: list[str] = []
+
+    def undo() -> None:
+        signal.raise_signal(signal.SIGINT)
+        undone.append("whole")
+
+    with pytest.raises(KeyboardInterrupt), on_failure(undo):
+        raise ValueError("no")
+    assert undone == ["whole"]
+
+
 def test_what_was_begun_stays_where_the_block_ends_well() -> None:
     undone: list[str] = []
 

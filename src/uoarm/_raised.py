@@ -18,6 +18,7 @@ from types import FrameType, TracebackType
 from typing import ParamSpec, TypeVar
 
 from uoarm._encodable import encodable
+from uoarm._interrupts import Uninterrupted
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 
 P = ParamSpec("P")
@@ -190,6 +191,9 @@ class on_failure:  # noqa: N801 - read as a block's beginning, as those of conte
         with on_failure(self.close):
             self._wait()
 
+    What ended the block is raised; what the undoing raises is logged. Ctrl-C and SIGTERM wait for
+    the end of the undoing, a second one does not.
+
     Args:
         undo: called with the other arguments.
     """
@@ -205,8 +209,14 @@ class on_failure:  # noqa: N801 - read as a block's beginning, as those of conte
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: object
     ) -> None:
-        if kind is not None:
-            self._undo(*self._args, **self._kwargs)
+        if kind is None:
+            return
+        try:
+            with Uninterrupted():
+                foreign(self._undo, *self._args, **self._kwargs)
+        except Exception as raised:  # noqa: BLE001 - what ended the block says why
+            text = f"what failed could not be undone: {text_of(raised)}"
+            LimitedLog("uoarm").write(logging.ERROR, text, raised)
 
 
 class LimitedLog:
