@@ -13,7 +13,7 @@ from typing import Any
 
 from attrs import define, field, frozen
 
-from uoarm.bridge import Backoff, text_of
+from uoarm.bridge import Backoff, on_failure, text_of
 from uoarm.errors import BridgeError
 from uoarm_ros1._master import Peers, call_api, connect, failure_text
 from uoarm_ros1._publication import keep_alive
@@ -114,16 +114,13 @@ def _subscribe(
         connection = connect(host, port, deadline)
     except OSError as error:
         raise ConnectionError(failure_text(what, host, port, error)) from error
-    try:
-        header = subscriber_header(wanted.caller, wanted.topic, nodelay=wanted.nodelay)
-        connection.sendall(encode_header(header))
-        answered, reader = _receive_header(connection, wanted, deadline)
-    except OSError as error:
-        connection.close()
-        raise ConnectionError(failure_text(what, host, port, error)) from error
-    except BaseException:
-        connection.close()
-        raise
+    with on_failure(connection.close):
+        try:
+            header = subscriber_header(wanted.caller, wanted.topic, nodelay=wanted.nodelay)
+            connection.sendall(encode_header(header))
+            answered, reader = _receive_header(connection, wanted, deadline)
+        except OSError as error:
+            raise ConnectionError(failure_text(what, host, port, error)) from error
     keep_alive(connection)
     return connection, answered, reader
 

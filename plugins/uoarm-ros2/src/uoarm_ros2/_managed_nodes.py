@@ -296,10 +296,8 @@ class ManagedNode:
     def _fulfil(self, lease: NodeLease) -> None:
         self._fulfilled.pop(lease.component, None)
         try:
-            self._bring_up(lease.requirement)
-        except BaseException:
-            self.release(lease)
-            raise
+            with on_failure(self.release, lease):
+                self._bring_up(lease.requirement)
         finally:
             self._start_watching()
         self._fulfilled[lease.component] = lease.requirement
