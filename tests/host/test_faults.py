@@ -17,6 +17,7 @@ from tests.host.hosted import ANY, Events, at
 from tests.processes import lives, states
 
 from uoarm._host import RemoteBridge
+from uoarm._host.transport.liveness import Heartbeat
 from uoarm.bridge import HealthEvent
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health, Role
@@ -186,6 +187,17 @@ def test_a_kill_while_the_host_starts_fails_the_start(tmp_path: Path) -> None:
     python.chmod(0o755)
     with pytest.raises(BridgeError, match="killed by SIGKILL"):
         hosted.bridge(tmp_path, python=str(python))
+
+
+def test_a_host_that_gets_no_heartbeat_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: Heartbeat) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(Heartbeat, "start", refuse)
+    with pytest.raises(RuntimeError, match="new thread"):
+        hosted.bridge(tmp_path)
 
 
 def test_a_kill_while_it_closes_does_not_stop_the_closing(tmp_path: Path) -> None:

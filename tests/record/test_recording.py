@@ -661,3 +661,19 @@ def test_a_recording_that_finds_no_thread_leaves_nothing_open(
         robot.record("counter", path=tmp_path / "run.mcap")
     assert robot.connections() == ()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_that_is_left_while_its_opening_is_undone_leaves_no_file(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    robot = make_robot()
+
+    def refuse(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Recording, "_open", refuse)
+    monkeypatch.setattr(Recording, "_kill", refuse)
+    with pytest.raises(KeyboardInterrupt):
+        robot.record("counter", path=tmp_path / "run.mcap")
+    assert list(tmp_path.iterdir()) == []

@@ -31,6 +31,7 @@ class Socket:
     """A connection that notes what it is given, then drops."""
 
     paused = False
+    transport = asyncio.WriteTransport()
 
     def __init__(self, *messages: Mapping[str, Any]) -> None:
         self.sent: list[dict[str, Any]] = []

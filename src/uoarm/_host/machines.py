@@ -23,6 +23,7 @@ from uoarm._host.transport.zenoh_transport import (
     access_list,
     certified,
 )
+from uoarm._raised import on_failure
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import BridgeSpec, Listening
@@ -81,7 +82,7 @@ class MachineConnection(HostConnection):
         prefix = keys.bridge_prefix(machine, spec.name, uuid.uuid4().hex[:12])
         self.transport = registry.part(prefix)
         self.transport.ahead = lambda: registry.offset(machine).nanoseconds
-        try:
+        with on_failure(self.close, None):
             self.transport.show_alive(keys.MANAGED)
             self.transport.watch_alive(keys.ALIVE, self._seen)
             self.transport.answer(keys.HEALTH, on_health)
@@ -94,12 +95,9 @@ class MachineConnection(HostConnection):
             registry.attach(machine, host, orders, settings.start)
             self._liveness.await_token(deadline)
             self.greeting = self._liveness.greet(self.transport, deadline)
-        except BaseException:
-            self.close(None)
-            raise
-        self._begin_heartbeat(
-            spec.name, silence=settings.silence, on_answer=on_answer, on_silence=self._give_up
-        )
+            self._begin_heartbeat(
+                spec.name, silence=settings.silence, on_answer=on_answer, on_silence=self._give_up
+            )
 
     @property
     def process(self) -> int:

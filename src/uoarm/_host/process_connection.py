@@ -28,6 +28,7 @@ from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply
 from uoarm._log_lines import HOST_LINE, read_host_line
+from uoarm._raised import on_failure
 from uoarm._support.process_tuning import KEEPING
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.environments import find_interpreter, passed_on
@@ -348,7 +349,7 @@ class ProcessConnection(HostConnection):
         self.transport = SocketTransport(near, spec.name)
         self.transport.watch_alive(keys.ALIVE, self._liveness.seen)
         self.transport.answer(keys.HEALTH, on_health)
-        try:
+        with on_failure(self.close, None):
             with counted, closing(far):  # the host has inherited them, or there is none
                 passed = *far.descriptors, counted.fileno()
                 self._started = HostProcess(spec.name, command, variables, self._exited, passed)
@@ -364,12 +365,9 @@ class ProcessConnection(HostConnection):
                 )
             self._await_token(deadline)
             self.greeting = self._greet(deadline)
-        except BaseException:
-            self.close(None)
-            raise
-        self._begin_heartbeat(
-            spec.name, silence=settings.silence, on_answer=on_answer, on_silence=self._give_up
-        )
+            self._begin_heartbeat(
+                spec.name, silence=settings.silence, on_answer=on_answer, on_silence=self._give_up
+            )
         self._forget_exit = at_exit(self._end_with_python)
 
     @property

@@ -16,6 +16,7 @@ from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender, Han
 from uoarm._host.transport.keys import COMMAND, SKIPPED
 from uoarm._host.transport.shared_counters import SharedCounter
 from uoarm._host.transport.transport import Reply, RequestWorkers, Transport
+from uoarm._raised import on_failure
 from uoarm._support import deadlines
 from uoarm.bridge import (
     Bridge,
@@ -284,11 +285,8 @@ class RemoteBridge(Bridge):
             on_death=self._on_death,
             on_health=self._on_health_event,
         )
-        try:
+        with on_failure(self._host.close, None):
             self.capabilities = from_json(self._host.greeting["capabilities"], Capabilities)
-        except BaseException:
-            self._host.close(None)
-            raise
 
     @property
     def process(self) -> int:
@@ -359,15 +357,12 @@ class RemoteBridge(Bridge):
         number = next(self._numbers)
         channel = RemoteSink(endpoint, number, self._ask_to_close, lambda: self._drop(number))
         channel.counter = self._counter()
-        try:
+        with on_failure(self._release, channel.counter):
             opening = _opening(number, channel.counter, endpoint, structure)
             queue = self._ask("sink", **opening)
             channel.blocking = queue is not None
             if queue is not None:
                 channel.default_queue = from_json(queue, QueuePolicy)
-        except BaseException:
-            self._release(channel.counter)
-            raise
         channel.transport = self._host.transport
         patience = _BLOCKING_SECONDS if channel.blocking else _PROMPT_SECONDS
         channel.outgoing = FlowSender(self._host.transport, keys.flow(number), patience)
@@ -399,16 +394,13 @@ class RemoteBridge(Bridge):
             self._services.answer(reply, lambda: handler(message))
 
         end = self._host.transport.answer(keys.service(number), take)
-        try:
+        with on_failure(end):
             self._ask(
                 "serve",
                 flow=number,
                 endpoint=to_json(endpoint),
                 structures=to_json(structures),
             )
-        except BaseException:
-            end()
-            raise
         return RemoteChannel(endpoint, number, self._ask_to_close, end)
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from uoarm._adapt import check_edge, transfer
 from uoarm._dataplane import Clock, Outlet, Route
+from uoarm._raised import on_failure
 from uoarm.bridge import Bridge, Channel, ServiceStructures
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import (
@@ -101,11 +102,8 @@ class _GoalWatch:
         provider = self._provider()
         with self._lock:
             self._unanswered.append(provider)
-        try:
+        with on_failure(self._report, "", "rejected"):
             self._connection.send(message, _GOAL)
-        except BaseException:
-            self._report("", "rejected")
-            raise
 
     def report(self, message: Message) -> None:
         """Give a status of a provider."""
@@ -193,14 +191,11 @@ class OfferedFunction:
         Raises:
             UoarmError: the function cannot be had, or does not fit, or the bridge refuses.
         """
-        try:
+        with on_failure(self.close):
             if self.offer.service is not None:
                 self._open_service(self.offer.service)
             else:
                 self._open_streams()
-        except BaseException:
-            self.close()
-            raise
 
     def routes(self) -> tuple[RouteStatus, ...]:
         """Return the counters of what goes out to the framework and comes in from it."""

@@ -28,6 +28,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from uoarm._raised import on_failure
 from uoarm._support.files import write_whole
 from uoarm.errors import UsageError
 
@@ -226,11 +227,8 @@ def _write(
     """Write a pair, both or none; the key first, and never readable for others."""
     key_file = folder / f"{name}.key"
     write_whole(key_file, secret_pem(key), private=True)
-    try:
+    with on_failure(key_file.unlink, missing_ok=True):
         write_whole(folder / f"{name}.pem", certificate.public_bytes(serialization.Encoding.PEM))
-    except BaseException:
-        key_file.unlink(missing_ok=True)
-        raise
 
 
 @frozen

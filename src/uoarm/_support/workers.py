@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 from attrs import define, field, frozen
 
-from uoarm._raised import LimitedLog, contained
+from uoarm._raised import LimitedLog, contained, on_failure
 from uoarm._support.process_tuning import fit_switch_interval
 from uoarm.errors import UoarmError
 
@@ -420,12 +420,9 @@ class Lanes:
                 return
             lane.has_begun = True
         # The reply is a job among the others: what was put before it is done before it.
-        try:
+        with on_failure(self._start, partial(self._serve, name, lane)):
             while not isinstance(job := lane.jobs.get(), _Reply):
                 job()
-        except BaseException:
-            self._start(partial(self._serve, name, lane))
-            raise
         self._end(name, job)
 
     def drive_quick(self, name: str) -> bool:

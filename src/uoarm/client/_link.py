@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.frames import CloseCode
 
 from uoarm._backoff import Backoff
-from uoarm._raised import text_of
+from uoarm._raised import on_failure, text_of
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import LARGEST, Form
 from uoarm.bridge import boot_seconds
@@ -257,13 +257,10 @@ class Link:
     async def _greet(self) -> str:
         """Connect, and take the greeting of a new session; returns nothing."""
         socket = await self._open()
-        try:
+        with on_failure(socket.transport.abort):
             self._take_frame(await socket.next_message())
             if self._resume:
                 await self._write(socket, _timed(_KEEP))
-        except BaseException:
-            socket.transport.abort()
-            raise
         self._socket = socket
         return ""
 
@@ -309,11 +306,8 @@ class Link:
     async def _go_on(self) -> str:
         """Take the session up over a new connection; returns the server's refusal, or nothing."""
         socket = await self._open()
-        try:
+        with on_failure(socket.transport.abort):
             refused = await self._take_up(socket)
-        except BaseException:
-            socket.transport.abort()
-            raise
         if refused:
             await socket.close()
         else:

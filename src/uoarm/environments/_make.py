@@ -23,6 +23,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
 from uoarm._origin import installed, origin_of
+from uoarm._raised import on_failure
 from uoarm._support.files import write_whole
 from uoarm.environments._environment import (
     MARK,
@@ -273,11 +274,9 @@ def _run(step: list[str], progress: Progress | None) -> None:
         limit.start()
         try:
             assert process.stdout is not None, "stdout is a pipe"
-            for line in process.stdout:
-                take(line.decode(errors="replace").rstrip())
-        except BaseException:
-            end()
-            raise
+            with on_failure(end):
+                for line in process.stdout:
+                    take(line.decode(errors="replace").rstrip())
         finally:
             limit.cancel()
     if process.returncode != 0:

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 from typing_extensions import Self
 
 from uoarm._interrupts import wait_for
-from uoarm._raised import LimitedLog, text_of
+from uoarm._raised import LimitedLog, on_failure, text_of
 from uoarm.errors import MessageError, UoarmError, UsageError
 from uoarm.model import Gap, Message, StatusEvent
 from uoarm.record._arrivals import (
@@ -124,16 +124,11 @@ class Recording:
             # Before anything is opened: a path that cannot be written costs no connection.
             self._file = self._begin_file()
         self._thread = threading.Thread(target=self._run, name="uoarm-recording", daemon=True)
-        try:
+        # Two: a second Ctrl-C leaves a kill that hangs, and no file.
+        with on_failure(self._discard), on_failure(self._kill):
             self._open(timeout)
             self._report(self._subject, "began", ", ".join(self.functions))
             self._thread.start()
-        except BaseException:
-            self._kill()
-            if self._file is not None:
-                self._file.abandon()
-                self._file.path.unlink(missing_ok=True)
-            raise
 
     def status(self) -> RecordingStatus:
         """Return what has come and what was written so far."""
@@ -272,6 +267,11 @@ class Recording:
                 track.connection.kill()
         # After that: a kill returns when all that happened before it has been announced.
         self._end_observing()
+
+    def _discard(self) -> None:
+        if self._file is not None:
+            self._file.abandon()
+            self._file.path.unlink(missing_ok=True)
 
     # What follows is called by the writer alone.
 

@@ -9,6 +9,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 
+from uoarm._raised import on_failure
 from uoarm.errors import UoarmError
 from uoarm.model import LeaseHolder, Message
 from uoarm.server.front_end import (
@@ -113,11 +114,8 @@ class InputPublication:
     async def _open(self) -> None:
         try:
             feed = await self._backend.join(FeedKey(self._function, receive=False))
-            try:
+            with on_failure(self._backend.leave, feed):
                 self._check(feed)
-            except BaseException:
-                self._backend.leave(feed)
-                raise
         except Exception as error:  # noqa: BLE001 - said to the one who publishes
             self._fail(error)
             self._send_waiting()

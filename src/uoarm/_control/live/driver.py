@@ -37,7 +37,7 @@ from uoarm._encodable import shown
 from uoarm._forks import generation
 from uoarm._interrupts import Uninterrupted
 from uoarm._parts import Functions
-from uoarm._raised import LimitedLog, foreign, sentence_of
+from uoarm._raised import LimitedLog, foreign, on_failure, sentence_of
 from uoarm._resolve import keep_candidates
 from uoarm._safety import EmergencyStop
 from uoarm._spans import current, span
@@ -209,17 +209,14 @@ class Driver:
         )
         step_name = f"changing to revision {event.revision} of the configuration"
         deadline = time.monotonic() + timeout
-        try:
+        # The change stands: where this thread leaves, a worker does what it would have done for it.
+        with on_failure(self._lanes.abandon, event.waiter):
             with Uninterrupted():
                 # `Adopt` finds it by its number, in the thread that owns the state.
                 self._revisions.expect(staged)
                 self._lanes.reserve(event.waiter)
                 self.post(event)
             deadlines.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
-        except BaseException:
-            # The change stands; a worker thread does what this thread would have done for it.
-            self._lanes.abandon(event.waiter)
-            raise
         if not self._wait_delivered(max(0.0, deadline - time.monotonic())):
             raise BridgeTimeoutError(f"{step_name}: an application that is called now holds it up")
 

@@ -21,7 +21,7 @@ from uoarm._control.engine.move import forget_earlier, recently
 from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.live.parts import StateOwner
 from uoarm._dataplane import Clock
-from uoarm._raised import LimitedLog
+from uoarm._raised import LimitedLog, on_failure
 from uoarm._resolve import (
     Hold,
     Resolver,
@@ -328,7 +328,7 @@ class Revisions:
         except (BridgeError, PluginError) as error:
             text = f"other machines cannot join as `hosts` of the new configuration says: {error}"
             raise ConfigurationError(text) from error
-        try:
+        with on_failure(bridges.close):
             cut = _cut(robot, bridges.joining.cut_bridges)
             structures = before.structures.carried_over(
                 bridges.get, difference.superseded, _hold(guard)
@@ -338,9 +338,6 @@ class Revisions:
             if is_new_code:
                 self._require_code(revision, difference)
             effects = tuple(self._effects(revision, difference, owner.state, cut))
-        except BaseException:
-            bridges.close()
-            raise
         change = ConfigurationChange(revision.number, difference.changes, effects, robot=base)
         is_new = (base, base.text) != (before.base, before.base.text) or guard is not before.guard
         return StagedRevision(revision, difference, bridges, change, is_new)

@@ -16,7 +16,7 @@ from uoarm._host.transport.codec import pack
 from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
 from uoarm._host.transport.transport import Transport
-from uoarm._raised import LimitedLog, contained, foreign, is_raised, text_of
+from uoarm._raised import LimitedLog, contained, foreign, is_raised, on_failure, text_of
 from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Message, MessageStructure, ValidationMode, to_json
@@ -158,10 +158,8 @@ class OpenFlows:
         with self._lock:
             self._opening.append(outbound)
         try:
-            yield outbound
-        except BaseException:
-            outbound.close()
-            raise
+            with on_failure(outbound.close):
+                yield outbound
         finally:
             with self._lock:
                 self._opening.remove(outbound)

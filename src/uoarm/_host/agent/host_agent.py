@@ -17,6 +17,7 @@ from uoarm._host.agent.dispatcher import RequestDispatcher
 from uoarm._host.transport import keys
 from uoarm._host.transport.transport import Reply, RequestWorkers
 from uoarm._host.transport.zenoh_transport import Identity, ZenohTransport
+from uoarm._raised import on_failure
 from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Registry
 from uoarm.errors import BridgeError, FailureReason, UoarmError
@@ -215,23 +216,17 @@ class HostedBridge:
         self.name = spec.name
         self._transport = transport
         self._ended = Event()
-        transport.watch_alive(keys.MANAGED, self._managed)
-        try:
+        with on_failure(transport.close):
+            transport.watch_alive(keys.MANAGED, self._managed)
             self._bridge = registry.create(spec)
-        except BaseException:
-            transport.close()
-            raise
         self._serving = RequestDispatcher(self._bridge, transport, self._ended.set)
         self._thread = threading.Thread(
             target=self._wait, name=f"uoarm-served-{spec.name}", daemon=True
         )
-        try:
+        # The manager may go meanwhile, or the system give no more threads.
+        with on_failure(self._wait), on_failure(self._ended.set):
             self._serving.begin()
             self._thread.start()
-        except BaseException:  # the manager went meanwhile, or the system gives no more threads
-            self._ended.set()
-            self._wait()
-            raise
         _log.info("bridge %s is taken up", self.name)
 
     @property

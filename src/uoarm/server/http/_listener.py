@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from uoarm._forks import close_in_children
+from uoarm._raised import on_failure
 
 _log = logging.getLogger("uoarm.server")
 _EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
@@ -132,7 +133,7 @@ async def listen(host: str, port: int) -> list[ListeningSocket]:
 
 
 def _bound(listener: ListeningSocket, address: tuple[Any, ...]) -> ListeningSocket:
-    try:
+    with on_failure(listener.close):
         if os.name == "posix":
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if listener.family == socket.AF_INET6:
@@ -141,9 +142,6 @@ def _bound(listener: ListeningSocket, address: tuple[Any, ...]) -> ListeningSock
         listener.setblocking(False)
         listener.listen(BACKLOG)
         close_in_children(listener)
-    except BaseException:
-        listener.close()
-        raise
     return listener
 
 

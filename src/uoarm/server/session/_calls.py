@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from uoarm._raised import on_failure
 from uoarm._wire import Form
 from uoarm.model import ControlMessage, Message
 from uoarm.server._failures import UnknownError
@@ -73,7 +74,7 @@ class ClientCalls:
         name, limits = str(asked.type), self._client.limits
         call = _Call(charge)
         self._under_way[call] = asked.id
-        try:
+        with on_failure(self._leave, call):
             self._client.require(Operation.CALL, name)
             wanted = asked.extensions.get("x-timeout", limits.call_seconds)
             assert isinstance(wanted, int | float), "the schema says so"
@@ -82,9 +83,6 @@ class ClientCalls:
             self._registry.begin_call(
                 name, None, asked.jsonMessage, self._read, limit, call.began, act, ended
             )
-        except BaseException:
-            self._leave(call)
-            raise
 
     def cancel(self, identity: str) -> Callable[[], bool] | None:
         """Have a call end early; returns what to do about that in a worker, None: nothing.

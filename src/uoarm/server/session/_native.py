@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from uoarm._control import Connection
-from uoarm._raised import LimitedLog
+from uoarm._raised import LimitedLog, on_failure
 from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
 from uoarm._wire import Form, check_asked, reply_around, reply_to, salvage_id, write_or_error
@@ -240,11 +240,8 @@ class NativeSession:
         self._streams.close()
 
     def _begin(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
-        try:
+        with on_failure(work.close):
             charge = self._admit(asked.op)
-        except BaseException:
-            work.close()
-            raise
         task = asyncio.ensure_future(self._answer(asked, work))
         self._tasks[task] = asked.op
         task.add_done_callback(self._tasks.pop)

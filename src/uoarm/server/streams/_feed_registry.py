@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, TypeVar
 from attrs import evolve
 
 from uoarm._control import Connection, RobotManager
-from uoarm._raised import LimitedLog, foreign
+from uoarm._raised import LimitedLog, foreign, on_failure
 from uoarm._wire import TEXT_FORM, Form
 from uoarm.config import loads
 from uoarm.errors import (
@@ -220,13 +220,10 @@ class FeedRegistry:
             self._openings[feed] = opening
         # Claimed before the wait: an opening that no client claims is closed when it is done.
         self._claim(feed)
-        try:
+        with on_failure(self.leave, feed):
             if feed in self._openings:
                 # Shielded: a client that goes must not end the opening for others that wait for it.
                 await asyncio.shield(self._openings[feed])
-        except BaseException:
-            self.leave(feed)
-            raise
         return feed
 
     def _claim(self, feed: Feed) -> None:
@@ -511,10 +508,8 @@ class FeedRegistry:
             return _request(self.robot, wanted, take, self.limits.request_seconds)
 
         try:
-            connection = await self.workers.open(request)
-        except BaseException:
-            self._forget(feed)
-            raise
+            with on_failure(self._forget, feed):
+                connection = await self.workers.open(request)
         finally:
             # From here on nothing is awaited: who joins finds it being opened, or open, or none.
             opening = self._openings.pop(feed, None)
