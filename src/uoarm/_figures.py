@@ -80,13 +80,15 @@ def _health(status: StatusMap) -> Iterator[Figure]:
     for component in status.components:
         components.add(1, component.name, component.function, component.health.value)
         failed.add(component.failed, component.name, component.function)
+    # What is open begins at 0: Prometheus sees an increase only of a value that was there before.
     deaths = Figure("component_deaths", "how often it was lost", ("component",), is_counter=True)
-    for name, count in status.deaths:
+    for name, count in (*((part.name, 0) for part in status.components), *status.deaths):
         deaths.add(count, name)
     takeovers = Figure(
         "takeovers", "how often another plan took over", ("function",), is_counter=True
     )
-    for name, count in status.takeovers:
+    open_functions = ((connection.function, 0) for connection in status.connections)
+    for name, count in (*open_functions, *status.takeovers):
         takeovers.add(count, name)
     states = Figure("connections", "connections, by state", ("state",))
     for state, count in Counter(

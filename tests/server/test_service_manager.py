@@ -14,10 +14,11 @@ from pathlib import Path
 import pytest
 import yaml
 from tests.processes import run_program
-from tests.server.robot import CONFIGURATION
+from tests.server.robot import CONFIGURATION, script
 from tests.server.test_serving import figures
 
-from uoarm.errors import UsageError
+from uoarm import RobotManager
+from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.server import Server
 from uoarm.server._running import ServiceManager
 from uoarm.testing import patience
@@ -139,3 +140,17 @@ def test_every_alert_is_about_a_figure_that_there_is(server: Server) -> None:
         named = re.findall(r"\b(?:uoarm_\w+|up)\b", re.sub(r'"[^"]*"', "", rule["expr"]))
         assert named, rule
         assert {*named} <= known, rule
+
+
+def test_what_the_alert_of_a_lost_component_asks_for_rises(
+    server: Server, robot: RobotManager
+) -> None:
+    rules = yaml.safe_load((DEPLOY / "prometheus-alerts.yaml").read_text(encoding="utf-8"))
+    [rule] = [rule for rule in rules["groups"][0]["rules"] if rule["alert"] == "RobotComponentLost"]
+    [name] = re.findall(r"\buoarm_\w+", rule["expr"])
+    with robot.request("numbers") as numbers:
+        assert f'{name}{{component="numbers"}} 0.0' in figures(server)
+        script.put(OSError("unplugged"))
+        with pytest.raises(ConnectionClosedError, match="unplugged"):
+            numbers.get(patience())
+    assert f'{name}{{component="numbers"}} 1.0' in figures(server)
