@@ -21,7 +21,7 @@ from uoarm import RobotManager
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.server import Server
 from uoarm.server._running import ServiceManager
-from uoarm.testing import patience
+from uoarm.testing import patience, wait
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
@@ -132,6 +132,12 @@ def test_the_unit_is_one_that_systemd_takes_and_little_is_exposed(tmp_path: Path
         assert ran.returncode == 0, ran.stdout + ran.stderr
 
 
+def test_the_unit_names_nothing_that_the_installation_lacks() -> None:
+    """The page installs a virtual environment at /opt/uoarm, in which the pages are not."""
+    text = (DEPLOY / "uoarm.service").read_text(encoding="utf-8")
+    assert set(re.findall(r"/opt/[\w/.-]*", text)) == {"/opt/uoarm/bin/uoarm"}
+
+
 def test_every_alert_is_about_a_figure_that_there_is(server: Server) -> None:
     rules = yaml.safe_load((DEPLOY / "prometheus-alerts.yaml").read_text(encoding="utf-8"))
     [group] = rules["groups"]
@@ -153,4 +159,4 @@ def test_what_the_alert_of_a_lost_component_asks_for_rises(
         script.put(OSError("unplugged"))
         with pytest.raises(ConnectionClosedError, match="unplugged"):
             numbers.get(patience())
-    assert f'{name}{{component="numbers"}} 1.0' in figures(server)
+    wait(lambda: f'{name}{{component="numbers"}} 1.0' in figures(server))
