@@ -159,6 +159,8 @@ DOCUMENT: dict[str, Any] = {
         # What follows leads to no schema of this document.
         ("#/prefixItems/2", None),
         ("#/prefixItems/-1", None),
+        (f"#/prefixItems/{'1' * 5000}", None),
+        ("#/prefixItems/\u0661", None),
         ("#/prefixItems", None),
         ("#/title", None),
         ("#/title/0", None),

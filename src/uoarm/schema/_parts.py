@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -20,6 +21,7 @@ _ANCHORS = ("$anchor", "$dynamicAnchor")
 _REFERENCES = ("$ref", "$dynamicRef")
 _OF_DOCUMENT = frozenset({"$schema", "$id"})
 _MOST_STEPS = 32
+_INDEX = re.compile("[0-9]{1,9}")
 
 
 def follow(document: Any, reference: object) -> Any:
@@ -57,7 +59,7 @@ def at_step(part: Any, step: str) -> Any:
     name = step.replace("~1", "/").replace("~0", "~")
     if isinstance(part, Mapping):
         return part.get(name)
-    is_place = isinstance(part, list | tuple) and name.isdecimal() and int(name) < len(part)
+    is_place = isinstance(part, list | tuple) and _INDEX.fullmatch(name) and int(name) < len(part)
     return part[int(name)] if is_place else None
 
 

@@ -10,7 +10,6 @@ meant. Facts: the change logs of drafts 06, 07, 2019-09 and 2020-12 on json-sche
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 from urllib.parse import unquote, urljoin
@@ -18,7 +17,7 @@ from urllib.parse import unquote, urljoin
 from attrs import frozen
 
 from uoarm.schema._errors import Meter, OutOfScopeError, SchemaError
-from uoarm.schema._parts import LISTS, MAPS, SINGLES
+from uoarm.schema._parts import LISTS, MAPS, SINGLES, at_step
 from uoarm.schema.read._node import ANNOTATIONS, Scope
 
 _NEW_IN_2020 = frozenset({"prefixItems", "$dynamicRef", "$dynamicAnchor"})
@@ -181,7 +180,6 @@ RECURSIVE = ""
 
 _OF_SCHEMA = 600
 """About the octets of what is known of a schema's place."""
-_INDEX = re.compile("[0-9]{1,9}")
 POSITIONAL = frozenset({"$id", "$anchor", "$dynamicAnchor", "$recursiveAnchor", *REFERENCES})
 _NAMING = frozenset({"$id", "id", "$schema"})
 PLACING = POSITIONAL | {"$schema"}
@@ -291,12 +289,8 @@ class Resources:
         for step in unquote(fragment).split("/")[1:]:
             if isinstance(at, Mapping):
                 around = self._within(at, around)
-            name = step.replace("~1", "/").replace("~0", "~")
-            if isinstance(at, Mapping) and name in at:
-                at = at[name]
-            elif isinstance(at, list) and _INDEX.fullmatch(name) and int(name) < len(at):
-                at = at[int(name)]
-            else:
+            at = at_step(at, step)
+            if at is None:
                 raise SchemaError("#/$ref", "a reference to a part of the document", absolute)
         if not isinstance(at, bool | Mapping):
             raise SchemaError("#/$ref", "a reference to a schema", absolute)
