@@ -489,4 +489,4 @@ def test_who_gives_what_is_wrong_is_blamed_for_what_a_hosted_consumer_raises_on_
         assert (strict.health, strict.failed) == (Health.OK, 0)
         scene.camera.emit({"value": 13})
         wait(lambda: scene.component("strict").failed == 1, "this one was right")
-        assert "OddError: strict does not like 13" in scene.component("strict").cause
+        wait(lambda: "OddError: strict does not like 13" in scene.component("strict").cause)

@@ -226,11 +226,11 @@ def test_what_was_lost_in_a_plan_that_was_given_up_while_a_part_of_it_opened_is_
         with raising(sink, "_send", BridgeError("it is full")):
             for number in range(20):
                 camera.emit(number)
-        two.die("far")
-        wait(lambda: connection.state is ConnectionState.WAITING)
-        hang.release()
-        wait(lambda: sink.closed)
-        wait(lambda: losses(robot.status()).total() == 20)
+            two.die("far")
+            wait(lambda: connection.state is ConnectionState.WAITING)
+            hang.release()
+            wait(lambda: sink.closed)
+            wait(lambda: losses(robot.status()).total() == 20)
 
 
 class OneAtATime(MemoryBridge):

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent import futures
 from pathlib import Path
 from typing import Any
 
@@ -228,11 +228,11 @@ def test_an_in_port_is_never_disconnected_while_it_takes_a_message(
     at = endpoint(Role.INPUT, "Mortal.rtc", "in", subscription=subscription, activate=True)
     into = sink(bridge, at)
     component.hold()
-    with ThreadPoolExecutor(2) as pool:
+    with futures.ThreadPoolExecutor(2) as pool:
         sending = pool.submit(into.send, stamped(1))
         assert component.held()
         closing = pool.submit(into.close)
-        with pytest.raises(TimeoutError):
+        with pytest.raises(futures.TimeoutError):  # CPython 3.10 has one of its own
             closing.result(0.3)
         assert component.connectors() == [1, 0]
         component.release()
@@ -325,7 +325,7 @@ def test_the_first_request_after_a_naming_service_came_back_succeeds(
     port = free_port()
     with NameServer(port) as first:
         bridge = make_bridge(nameserver=first.address, watch=0)
-        with ThreadPoolExecutor(4) as pool:  # for several connections to it
+        with futures.ThreadPoolExecutor(4) as pool:  # for several connections to it
             assert set(pool.map(lambda _: bridge.discover(), range(8))) == {()}
     with NameServer(port) as second:
         peer("Mortal", at=second.address)
