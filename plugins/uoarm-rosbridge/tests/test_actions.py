@@ -182,6 +182,22 @@ def test_clients_work_on_goals_of_one_another(enter: Enter) -> None:
     assert (reports["values"], reports["status"], reports["result"]) == ({"at": 1}, CANCELED, True)
 
 
+def test_a_client_knows_its_action_by_the_name_that_it_gave(enter: Enter) -> None:
+    provider, client = enter(), enter()
+    provider.send(op="advertise_action", action="walk", type="x/Walk")
+    assert "/walk" in provider.call("/rosapi/action_servers")["action_servers"]
+    send(client, {"far": 1}, action="/walk")
+    asked = provider.receive()
+    assert asked["action"] == "walk"
+    client.send(op="cancel_action_goal", action="/walk", id="g")
+    goal = {"action": "walk", "id": asked["id"]}
+    assert provider.receive() == {"op": "cancel_action_goal", **goal}
+    provider.send(op="action_result", values={}, status=CANCELED, result=True, **goal)
+    assert result(client)["status"] == CANCELED
+    provider.send(op="unadvertise_action", action="walk")
+    assert "/walk" not in provider.call("/rosapi/action_servers")["action_servers"]
+
+
 def test_a_provider_that_fails_withdraws_or_goes_fails_the_goal(server: Server) -> None:
     with Ros(url(server)) as client:
         with Ros(url(server)) as provider:

@@ -242,6 +242,30 @@ def test_services_between_clients_have_the_type_that_their_provider_states(enter
     }
 
 
+def test_a_client_knows_its_service_by_the_name_that_it_gave(enter: Enter) -> None:
+    provider, caller = enter(), enter()
+    provider.send(op="advertise_service", service="half", type="x/Half")
+    assert "/half" in provider.call("/rosapi/services")["services"]
+    caller.send(op="call_service", id=1, service="/half")
+    asked = provider.receive()
+    assert asked["service"] == "half"
+    provider.send(op="service_response", service="half", id=asked["id"], result=True, values={})
+    assert caller.receive()["service"] == "/half"
+    provider.send(op="unadvertise_service", service="half")
+    assert "/half" not in provider.call("/rosapi/services")["services"]
+
+
+def test_a_topic_with_and_without_a_slash_is_subscribed_by_both_names(enter: Enter) -> None:
+    client = enter()
+    for topic in ("/chatter", "chatter"):
+        client.send(op="subscribe", topic=topic)
+    client.send(op="publish", topic="chatter", type="x/Y", msg={"n": 1})
+    assert sorted(client.receive()["topic"] for _ in range(2)) == ["/chatter", "chatter"]
+    client.send(op="unsubscribe", topic="/chatter")
+    client.send(op="publish", topic="/chatter", msg={"n": 2})
+    assert client.receive()["topic"] == "chatter"
+
+
 def test_what_clients_have_is_at_the_node_of_rosbridge(enter: Enter) -> None:
     speaker, listener = enter(), enter()
     speaker.send(op="advertise", topic="/chatter", type="std_msgs/String")

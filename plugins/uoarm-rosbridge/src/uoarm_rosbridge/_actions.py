@@ -77,6 +77,7 @@ class _Offer:
     """A client's offer to work on the goals of one action; a runner for those who send them."""
 
     name: str
+    given: str  # the name as the client has it, by which it knows what it is sent
     kind: str
     provider: ActionProvider
     hub: ActionHub
@@ -93,7 +94,7 @@ class _Offer:
                 {
                     "op": "send_action_goal",
                     "id": identity,
-                    "action": self.name,
+                    "action": self.given,
                     "action_type": self.kind,
                     "args": {} if goal.arguments is None else goal.arguments,
                     "feedback": True,
@@ -105,7 +106,7 @@ class _Offer:
         del done
         identity = self.hub.identity_of(goal)
         if identity is not None:
-            self.provider.send({"op": "cancel_action_goal", "id": identity, "action": self.name})
+            self.provider.send({"op": "cancel_action_goal", "id": identity, "action": self.given})
 
     def abandon(self, goal: Goal) -> None:
         """Ask for its end; the answer is taken and goes nowhere."""
@@ -131,15 +132,16 @@ class ActionHub:
         """Return what works on the goals of an action that a client offers."""
         return self._offers.get(name)
 
-    def offer(self, name: str, kind: str, provider: ActionProvider) -> None:
+    def offer(self, given: str, kind: str, provider: ActionProvider) -> None:
         """Let a client work on the goals of an action.
 
         Raises:
             LimitError: another client does so already.
         """
+        name = find_place(given).name
         if name in self._offers and self._offers[name].provider is not provider:
             raise LimitError(f"another client provides {name!r}")
-        self._offers[name] = _Offer(name, kind, provider, self)
+        self._offers[name] = _Offer(name, given, kind, provider, self)
 
     def withdraw(self, name: str, provider: ActionProvider) -> None:
         """Take an offer back; goals that it has not finished fail."""
@@ -308,7 +310,7 @@ class Actions:
             raise UsageError(f"{place.name!r} belongs to the server")
         if len(self._offered) >= self._client.limits.streams:
             raise LimitError(f"{self._client.limits.streams} actions are offered already")
-        self._hub.offer(place.name, fields["type"], self)
+        self._hub.offer(fields["action"], fields["type"], self)
         self._offered.add(place.name)
 
     def unadvertise(self, fields: Fields) -> None:

@@ -89,7 +89,7 @@ class ClientServices:
     _send: Callable[[Fields, int], None]
     _ask: Callable[[Fields], None]
     _cancel_goals: Callable[[NamedPort], None]
-    _provided: set[str] = field(factory=set, init=False)
+    _provided: dict[str, str] = field(factory=dict, init=False)  # names as the client has them
 
     async def call(self, fields: Fields) -> None:
         """Call a service and send its response."""
@@ -119,14 +119,14 @@ class ClientServices:
                 f"{self._client.limits.streams} services are provided; withdraw one first"
             )
         self._hub.provide(place.name, fields["type"], self)
-        self._provided.add(place.name)
+        self._provided[place.name] = fields["service"]
 
     def unadvertise(self, fields: Fields) -> None:
         """Provide a service no more."""
         name = find_place(fields["service"]).name
         if name not in self._provided:
             raise UsageError(f"this client does not provide {name!r}")
-        self._provided.discard(name)
+        del self._provided[name]
         self._hub.withdraw(name, self)
 
     def respond(self, fields: Fields) -> None:
@@ -147,7 +147,8 @@ class ClientServices:
 
     def ask(self, identity: str, service: str, message: Message) -> None:
         """Send another client's request to this one, which provides the service."""
-        self._ask({"op": "call_service", "id": identity, "service": service, "args": message})
+        name = self._provided[service]
+        self._ask({"op": "call_service", "id": identity, "service": name, "args": message})
 
     def close(self) -> None:
         """Withdraw everything."""

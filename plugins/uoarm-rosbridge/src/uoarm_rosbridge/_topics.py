@@ -250,6 +250,7 @@ class Topics:
     _warn: Callable[[Fields, str], None]
     _write_failure: Callable[[Fields, BaseException], bytes | None]
     _published: dict[str, _Published] = field(factory=dict, init=False)
+    # By the topic as the client named it, with a slash or without: so it knows its messages.
     _subscriptions: dict[str, RosbridgeSubscription] = field(factory=dict, init=False)
 
     def advertise(self, fields: Fields) -> None:
@@ -298,7 +299,7 @@ class Topics:
         self._client.require(Operation.REQUEST, place.right)
         stated = _identity(fields)
         identity = place.name if stated is None else stated
-        subscription = self._subscriptions.get(place.name)
+        subscription = self._subscriptions.get(fields["topic"])
         if subscription is not None:
             self._check_type(place, subscription.kind, fields)
         if subscription is None:
@@ -314,20 +315,20 @@ class Topics:
 
     def unsubscribe(self, fields: Fields) -> None:
         """End one subscription of a topic by its id, or all without one."""
-        place = find_place(fields["topic"])
-        subscription = self._subscriptions.get(place.name)
+        topic = fields["topic"]
+        subscription = self._subscriptions.get(topic)
         if subscription is None:
-            raise UsageError(f"this client has not subscribed {place.name!r}")
+            raise UsageError(f"this client has not subscribed {topic!r}")
         if subscription.drop(_identity(fields)):
-            self._stop(place)
+            self._stop(topic)
 
     def close(self) -> None:
         """Give everything back."""
         for published in self._published.values():
             published.publication.abandon()
         self._published.clear()
-        for name in list(self._subscriptions):
-            self._stop(find_place(name))
+        for topic in list(self._subscriptions):
+            self._stop(topic)
 
     def _admit_subscription(self) -> None:
         """Refuse one more subscription where the client has as many as it may, on all topics."""
@@ -378,16 +379,18 @@ class Topics:
     def _listen(
         self, place: NamedPort, options: SubscribeOptions, fields: Fields
     ) -> RosbridgeSubscription:
+        topic = fields["topic"]
+
         def on_end(state: str, cause: str) -> None:
-            ended = self._subscriptions.pop(place.name, None)
+            ended = self._subscriptions.pop(topic, None)
             if ended is not None:
                 error = UoarmError(f"{place.name} has {state}: {cause or 'killed'}")
                 report = self._write_failure(fields, error)
                 ended.finish(*(() if report is None else (report,)))
 
         def on_failed(error: BaseException) -> None:
-            if place.name in self._subscriptions:
-                self._stop(place)
+            if topic in self._subscriptions:
+                self._stop(topic)
                 self._fail(fields, error)
 
         def check(feed: Feed) -> None:
@@ -395,7 +398,7 @@ class Topics:
             subscription.check_form()
 
         subscription = RosbridgeSubscription(
-            place.name if fields["topic"].startswith("/") else fields["topic"],
+            topic,
             TopicType(place.name, _type_in(fields)),
             options,
             self._client,
@@ -415,12 +418,13 @@ class Topics:
             subscription.check_form()
             self._hub.listen(place.name, _type_in(fields), subscription, self._client.account)
             self._hint(place, Role.OUTPUT, fields)
-        self._subscriptions[place.name] = subscription
+        self._subscriptions[topic] = subscription
         return subscription
 
-    def _stop(self, place: NamedPort) -> None:
-        subscription = self._subscriptions.pop(place.name)
+    def _stop(self, topic: str) -> None:
+        subscription = self._subscriptions.pop(topic)
         subscription.close()
+        place = find_place(topic)
         if not place.function:
             self._hub.leave(place.name, subscription)
 
