@@ -18,11 +18,12 @@ from uoarm_rtm import _bridge, _services
 from uoarm_rtm._orb import Orb, corba_errors
 from uoarm_rtm._own_component import OwnComponent
 from uoarm_rtm._peer import pairs
+from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._services import OperationCaller
 from uoarm_rtm.component import ComponentProfile, RtComponent, Types
 from uoarm_rtm.errors import IdlError
 
-from uoarm.bridge import Bridge, ServiceStructures
+from uoarm.bridge import Bridge, Channel, ServiceStructures
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health, MessageStructure, Role
 from uoarm.testing import Background, patience, wait
@@ -401,6 +402,43 @@ def test_we_are_a_component_that_others_connect_to(
         source(bridge, at, inbox)
     channel.close()
     assert talker.connectors() == [0, 0]
+
+
+@pytest.mark.parametrize("role", [Role.OUTPUT, Role.INPUT, Role.SERVICE])
+def test_of_ports_of_one_name_that_open_at_once_one_is_there(
+    make_bridge: Make, role: Role, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bridge: Any = make_bridge(idl=IDL)
+    component = bridge._own_component().component
+    both, add = threading.Barrier(2), RtComponent.add_port
+    ports: list[PortServant] = []
+
+    def add_at_once(self: RtComponent, port: PortServant) -> None:
+        ports.append(port)
+        both.wait(patience())
+        add(self, port)
+
+    def begin() -> Channel:
+        if role is Role.SERVICE:
+            at = endpoint(role, "self", "ours", "Mover::echo")
+            return bridge.serve(at, lambda message: message, timeout=patience())  # type: ignore[no-any-return]
+        at = endpoint(role, "self", "ours", "RTC::TimedLong")
+        return source(bridge, at, Inbox()) if role is Role.OUTPUT else sink(bridge, at)
+
+    monkeypatch.setattr(RtComponent, "add_port", add_at_once)
+    opened, refused = [], []
+    for opening in [Background(begin) for _ in range(2)]:
+        try:
+            opened.append(opening.result(patience()))
+        except BridgeError as error:
+            refused.append(str(error))
+    assert (len(opened), len(refused)) == (1, 1)
+    assert "has a port 'ours' already" in refused[0]
+    (there,) = component.ports
+    (other,) = (port for port in ports if port is not there)
+    assert (there._is_closed, other._is_closed) == (False, True)
+    opened[0].close()
+    assert component.ports == ()
 
 
 def test_an_in_port_of_ours_asks_those_who_wait_to_be_asked(

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 
 from uoarm.bridge import Channel, Sink, Source, on_failure
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm_rtm._descriptors import IdlInterface
 from uoarm_rtm._naming import NamingService
@@ -107,12 +107,10 @@ class OwnComponent:
 
     def source(self, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver) -> Source:
         """Open an InPort of ours."""
-        self._free(name)
         return _OwnSource(self, endpoint, name, type_id, deliver)
 
     def sink(self, endpoint: Endpoint, name: str, type_id: str) -> Sink:
         """Open an OutPort of ours."""
-        self._free(name)
         return _OwnSink(self, endpoint, name, type_id)
 
     def service(
@@ -125,7 +123,6 @@ class OwnComponent:
         idl: str = "",
     ) -> Channel:
         """Open a CorbaPort of ours that provides an interface."""
-        self._free(name)
         servant = servant_of(interface, operation, handler)
         full = f"{self.component.profile.name}.{name}"
         options = RtmEndpointOptions.of_endpoint(endpoint)
@@ -170,9 +167,3 @@ class OwnComponent:
         with self._binding:  # a check that is under way would take what is unbound for forgotten
             self._closed = True
         self.component.close()
-
-    def _free(self, name: str) -> None:
-        full = f"{self.component.profile.name}.{name}"
-        if any(port.name == full for port in self.component.ports):
-            text = f"our own component has a port {name!r} already: give one of them another name"
-            raise BridgeError(text, FailureReason.BAD_ENDPOINT)

@@ -18,6 +18,8 @@ from typing import Any
 from _uoarm_rtm_stubs import RTC, OpenRTM__POA, SDOPackage
 from attrs import field, frozen
 
+from uoarm.bridge import on_failure
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message
 from uoarm_rtm._data_ports import InPort, OutPort
 from uoarm_rtm._naming import NamingService
@@ -113,7 +115,7 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         With a `rate`, OutPorts that wait to be asked are asked so often a second.
 
         Raises:
-            BridgeError: the type is not known.
+            BridgeError: the type is not known, or there is another port of that name.
         """
 
         def taken(message: Message) -> None:
@@ -130,7 +132,7 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         """Add a port that emits messages.
 
         Raises:
-            BridgeError: the type is not known.
+            BridgeError: the type is not known, or there is another port of that name.
         """
         codec = types.codec(type_id)
         port = OutPort(self._orb, f"{self.profile.name}.{name}", codec, self._seconds)
@@ -138,9 +140,17 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         return port
 
     def add_port(self, port: PortServant) -> None:
-        """Add any port."""
+        """Add any port.
+
+        Raises:
+            BridgeError: there is another one of its name; this one is closed.
+        """
         port.owner = self.reference
-        with self._lock:
+        with on_failure(port.close), self._lock:
+            if any(known.name == port.name for known in self._ports):
+                component, _, name = port.name.rpartition(".")
+                text = f"component {component!r} has a port {name!r} already: give one another name"
+                raise BridgeError(text, FailureReason.BAD_ENDPOINT)
             self._ports.append(port)
 
     def remove_port(self, port: PortServant) -> None:
