@@ -77,8 +77,10 @@ def renewed(
         over.set()
         if thread.ident is not None:
             thread.join(_LAST_SECONDS)  # so that nothing is sent behind the stop
-        with suppress(ConnectionClosedError):  # it was stopped with that
+        try:
             stop()
+        except ConnectionClosedError as error:  # it was stopped with that, and not renewed since
+            held.error = held.error or error
     if held.error is not None:
         raise held.error
 
@@ -117,7 +119,9 @@ async def renewed_in_task(
         renewing.cancel()
         with suppress(asyncio.CancelledError):
             await renewing
-        with suppress(ConnectionClosedError):
+        try:
             await stop()
+        except ConnectionClosedError as error:
+            held.error = held.error or error
     if held.error is not None:
         raise held.error

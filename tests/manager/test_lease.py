@@ -12,7 +12,12 @@ from uoarm import RobotManager
 from uoarm._parts._application_ports import _Command
 from uoarm.bridge import Registry, boot_seconds
 from uoarm.config import loads
-from uoarm.errors import BridgeError, CommandRefusedError, UsageError
+from uoarm.errors import (
+    BridgeError,
+    CommandRefusedError,
+    ConnectionClosedError,
+    UsageError,
+)
 from uoarm.model import LeaseHolder, LeaseStatus, StatusEvent
 from uoarm.testing import Background, MemoryBridge, patience, wait
 
@@ -171,6 +176,9 @@ def test_a_command_is_renewed_while_it_is_held_and_stopped_then(
         assert base.taken.messages[-1] == 4, "who was taken over from stops no other"
         with second.hold(5, period=3600):
             assert base.taken.messages[-1] == 5
+        with pytest.raises(ConnectionClosedError), second.hold(6, period=3600):
+            second.kill()
+        assert base.taken.messages[-1] == 0
     text = "commands live for 3600 s, and are renewed every 3600 s: it stops in between"
     assert f"base.default: {text}" in caplog.text
 

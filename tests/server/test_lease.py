@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pytest
 from tests.processes import run_program
-from tests.server.conftest import Serve
+from tests.server.conftest import Between, Serve
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.client import connect
 from uoarm.config import loads
-from uoarm.errors import CommandRefusedError
+from uoarm.errors import CommandRefusedError, ConnectionClosedError
 from uoarm.model import LeaseHolder, LeaseStatus, StatusEvent
-from uoarm.server import Server, ServerOptions, hash_token, make_token, serve_in_thread
+from uoarm.server import Limits, Server, ServerOptions, hash_token, make_token, serve_in_thread
 from uoarm.testing import MemoryBridge, patience, wait
 from uoarm.testing._components import Taker
 
@@ -202,6 +202,18 @@ def test_the_python_client_renews_while_it_holds_and_stops_then(
 
     asyncio.run(asyncio.wait_for(run(), patience()))
     assert "commands live for 3600 s, and are renewed every 3600 s" in caplog.text
+
+
+async def test_a_block_that_outlives_the_link_says_so(
+    serve: Serve, between: Between, base: Taker
+) -> None:
+    del base
+    proxy = between(serve(Limits(resume_seconds=0.2)))
+    async with connect(f"ws://127.0.0.1:{proxy.port}/", reconnect=0) as robot:
+        drive = await robot.request("drive")
+        with pytest.raises(ConnectionClosedError, match="dropped"):
+            async with drive.hold(1, period=3600):
+                proxy.cut(admit=False)
 
 
 @pytest.mark.needs("node")
