@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 import re
 import shlex
@@ -14,16 +15,20 @@ from collections.abc import Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
 from attrs import frozen
 from tests.processes import run_python
 
+from uoarm import AsyncRobotManager, Connection, RobotManager
 from uoarm.bridge import BridgeOptions, options_table
 from uoarm.cli import main
+from uoarm.client import RemoteRobot
 from uoarm.local import PythonOptions
 from uoarm.record.plugin import PlaybackOptions
+from uoarm.server.front_end import Backend, Client, Feed
 from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[2]
@@ -220,6 +225,60 @@ def test_what_programs_import_of_ours_exists() -> None:
     assert not missing
 
 
+def test_methods_that_pages_call_exist_and_take_what_is_given() -> None:
+    """A name stands for the classes whose methods pages call on it, in Python."""
+    objects = {
+        "robot": (RobotManager, AsyncRobotManager, RemoteRobot),
+        "connection": (Connection,),
+        "backend": (Backend,),
+        "client": (Client,),
+        "feed": (Feed,),
+    }
+    texts = [(block.page.name, block.text) for block in EVERY if block.language == "python"]
+    for page in PAGES:
+        inline = re.findall(r"`([^`\n]+)`", _without_code(page.read_text("utf-8")))
+        texts.extend((page.name, text) for text in inline)
+    calls = [
+        (page, node, node.func.attr, objects[node.func.value.id])
+        for page, text in texts
+        for node in nodes(text)
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and isinstance(node.func.value, ast.Name)
+        and node.func.value.id in objects
+    ]
+    assert len(calls) > 30
+    wrong = [
+        f"{page}: {ast.unparse(call)}"
+        for page, call, method, classes in calls
+        if not any(takes(getattr(kind, method, None), call) for kind in classes)
+    ]
+    assert not wrong
+
+
+def nodes(text: str) -> list[ast.AST]:
+    try:
+        return list(ast.walk(ast.parse(text)))
+    except SyntaxError:
+        return []
+
+
+def takes(method: Any, call: ast.Call) -> bool:
+    """Say whether a method can be called so; `...` among the arguments stands for any others."""
+    if not callable(method):
+        return False
+    names = {word.arg: None for word in call.keywords if word.arg is not None}
+    signature = inspect.signature(method)
+    is_partial = any(getattr(item, "value", None) is ... for item in call.args)
+    # The object itself comes first.
+    given = [None, *(None for item in call.args if getattr(item, "value", None) is not ...)]
+    try:
+        (signature.bind_partial if is_partial else signature.bind)(*given, **names)
+    except TypeError:
+        return False
+    return True
+
+
 @pytest.mark.parametrize(("block", "line"), COMMANDS, ids=lambda item: str(item)[:60])
 def test_commands_and_their_options_exist(block: Block, line: str) -> None:
     words = shlex.split(line, comments=True)[1:]
@@ -319,6 +378,17 @@ def _requirements(name: str, extra: str) -> Iterator[tuple[str, str]]:
     for line in lines:
         if match := re.match(r"(uoarm[\w-]*)(?:\[([\w,-]+)\])?", line):
             yield from ((match[1], part) for part in (match[2] or "").split(","))
+
+
+def test_what_users_may_install_beside_is_on_a_page() -> None:
+    tomllib = pytest.importorskip("tomllib", reason="part of Python since 3.11")
+    text = "".join(page.read_text("utf-8") for page in INSTALLING)
+    named = {extra for extras in re.findall(r"\[([\w,-]+)\]", text) for extra in extras.split(",")}
+    named |= set(re.findall(r"`([\w-]+)`", text))
+    not_by_hand = {"docs", "healthbot", "plots", "vision"}  # but by `make`, or as an error says
+    for file in [ROOT / "pyproject.toml", *ROOT.glob("plugins/*/pyproject.toml")]:
+        extras = tomllib.loads(file.read_text("utf-8"))["project"].get("optional-dependencies", {})
+        assert set(extras) <= named | not_by_hand, file.parent.name
 
 
 def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
