@@ -131,12 +131,11 @@ def test_an_idle_thread_is_used_again_and_the_last_one_first() -> None:
 
 
 def test_idle_threads_end_and_new_ones_come() -> None:
-    before = ResourceSnapshot()
     pool = WorkerPool("test", 1, idle_seconds=0.01)
     used: list[threading.Thread] = []
-    for _ in range(3):
+    for number in (1, 2, 3):
         pool.submit(lambda: used.append(threading.current_thread()))
-        before.check()
+        wait(lambda: len(used) == number and not used[-1].is_alive())  # noqa: B023 - called here
     assert len(set(used)) == 3
     assert {thread.name for thread in used} == {"test"}
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from tests.structures import closed
 
 from uoarm import RobotManager
+from uoarm._support.workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.config import loads
 from uoarm.errors import (
@@ -251,6 +252,19 @@ def test_a_snapshot_names_the_threads_that_stay() -> None:
         Background(hang.wait)
         with pytest.raises(AssertionError, match="uoarm-test"):
             snapshot.check(timeout=0.02)
+    snapshot.check()
+
+
+def test_a_snapshot_does_not_wait_for_threads_of_a_pool_that_end_by_themselves() -> None:
+    snapshot = ResourceSnapshot()
+    pool, gate = WorkerPool("pool", idle_seconds=patience()), threading.Event()
+    pool.submit(gate.wait)
+    with pytest.raises(AssertionError, match="1 threads are left over: pool"):
+        snapshot.check(timeout=0.02)
+    gate.set()
+    wait(lambda: not pool.busy)
+    snapshot.check(timeout=0)
+    pool.close()
     snapshot.check()
 
 

@@ -176,7 +176,7 @@ class WorkerPool:
         if task is not None:
             inbox.put(task)  # not an argument of the thread, which would hold it until its end
         work = partial(self._work, inbox, begins=task is not None)
-        threading.Thread(target=work, name=self._name, daemon=True).start()
+        PoolThread(self, target=work, name=self._name, daemon=True).start()
         fit_switch_interval()
 
     def _begin_to_watch(self, patience: float) -> None:
@@ -280,6 +280,19 @@ class WorkerPool:
         except BaseException as raised:  # noqa: BLE001 - whatever it is, the thread goes on
             text = f"the callback of a call in a thread of {self._name} failed"
             self._records.write(logging.ERROR, text, raised)
+
+
+class PoolThread(threading.Thread):
+    """A thread of a pool, of which one may see that it only waits for the next call."""
+
+    def __init__(self, pool: WorkerPool, **given: Any) -> None:
+        super().__init__(**given)
+        self._pool = pool
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is to be done in its pool, so that it ends by itself in some seconds."""
+        return not (self._pool.busy or self._pool.closed)
 
 
 class WorkerExecutor(ThreadPoolExecutor):

@@ -13,6 +13,7 @@ from pathlib import Path
 from random import SystemRandom
 
 from uoarm._arguments import arguments
+from uoarm._support.workers import PoolThread
 from uoarm.testing._waiting import patience, slowness, wait
 
 _DESCRIPTORS = ("/proc/self/fd", "/dev/fd")
@@ -59,9 +60,10 @@ def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
 class ResourceSnapshot:
     """The threads and descriptors at one moment, to be compared with a later one.
 
-    The core's own idle step threads do not count: they end by themselves. Nor does one that took
-    the place of another of its name, which has ended. Nor do threads that a library started
-    without Python, which call into it: Python does not know when they end.
+    The core's own step threads do not count, nor do others of its pools that are idle: they end by
+    themselves. Nor does one that took the place of another of its name, which has ended. Nor do
+    threads that a library started without Python, which call into it: Python does not know when
+    they end.
     """
 
     def __init__(self) -> None:
@@ -101,6 +103,7 @@ class ResourceSnapshot:
             if thread not in self._threads
             and thread.name != _OF_THE_CORE
             and not isinstance(thread, threading._DummyThread)  # noqa: SLF001 - these are never joined
+            and not (isinstance(thread, PoolThread) and thread.is_idle)
         ]
         replaced = Counter(thread.name for thread in self._threads if not thread.is_alive())
         replaced &= Counter(thread.name for thread in new)
