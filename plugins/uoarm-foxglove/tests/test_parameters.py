@@ -74,7 +74,8 @@ def test_all_or_some_are_shown(serve: Serve) -> None:
 def test_none_is_set_and_the_viewer_gets_what_holds(serve: Serve) -> None:
     with Viewer(serve()) as viewer:
         viewer.send("setParameters", parameters=[{"name": "/loose/level", "value": 7}], id="x")
-        assert "set by the configuration" in viewer.until("status")["message"]
+        refused = viewer.until("status")["message"]
+        assert refused.startswith("setParameters: parameters are set by the configuration")
         assert viewer.until("parameterValues")["parameters"] == LOOSE
 
 
@@ -215,4 +216,12 @@ tokens: [{{name: tablet, role: guest, sha256: {hash_token(token)}}}]
 def test_names_that_are_none_are_refused(serve: Serve, names: object) -> None:
     with Viewer(serve()) as viewer:
         viewer.send("getParameters", parameterNames=names)
-        assert "parameterNames: expected a list of texts" in viewer.until("status")["message"]
+        refused = viewer.until("status")["message"]
+        assert refused == "getParameters: parameterNames: expected a list of texts (UOA-502)"
+
+
+@pytest.mark.parametrize("op", ["getParameters", "subscribeParameterUpdates"])
+def test_a_name_that_is_too_long_is_refused_with_what_asked_for_it(serve: Serve, op: str) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.send(op, parameterNames=["x" * 201])
+        assert viewer.until("status")["message"].startswith(f"{op}: name: expected a text")

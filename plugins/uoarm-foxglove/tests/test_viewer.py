@@ -78,6 +78,14 @@ def test_every_output_is_a_channel_with_its_schema(serve: Serve) -> None:
         assert {"/picture", "/doubled", "/echo", "/note"} < {*viewer.channels}
 
 
+def test_a_robot_without_an_output_has_an_empty_list_of_channels(
+    serve: Serve, robot: RobotManager
+) -> None:
+    robot.apply(loads("version: 1\nbridges: {python: {}}\nfunctions: {}"))
+    with Viewer(serve()) as viewer:
+        assert viewer.until("advertise")["channels"] == []
+
+
 def test_a_schema_says_what_viewers_can_read_of_it(serve: Serve) -> None:
     with Viewer(serve()) as viewer:
         odd, level = viewer.channel("/odd"), viewer.channel("/level")

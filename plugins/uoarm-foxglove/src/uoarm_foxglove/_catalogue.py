@@ -121,8 +121,10 @@ class VisibleListing:
         ended = [number for number in former.services if number not in self.services]
         frames = [write("unadvertise", channelIds=gone)] if gone else []
         frames += [write("unadvertiseServices", serviceIds=ended)] if ended else []
-        fresh = _announcements(self.channels, former.channels)
-        frames += [write("advertise", channels=batch) for batch in _batches(fresh)]
+        fresh = list(_batches(_announcements(self.channels, former.channels)))
+        if former is NOTHING and not fresh:
+            fresh = [[]]  # viewers wait for a first list, and show no service before
+        frames += [write("advertise", channels=batch) for batch in fresh]
         begun = _announcements(self.services, former.services)
         frames += [write("advertiseServices", services=batch) for batch in _batches(begun)]
         return tuple(frames)

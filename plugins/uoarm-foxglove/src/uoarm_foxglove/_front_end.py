@@ -221,7 +221,10 @@ class FoxgloveSession:
             known = ", ".join(self._acts)
             why = _NOT_SERVED.get(str(op), f"expected one of {known}")
             raise ControlMessageError(f"op {op!r:.60}: {why}")
-        act(fields)
+        try:
+            act(fields)
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is answered
+            self._fail(error, f"{op}: ")
 
     def _subscribe(self, fields: Fields) -> None:
         def subscribe(asked: Fields) -> None:
@@ -330,8 +333,7 @@ class FoxgloveSession:
             except Exception as error:  # noqa: BLE001 - every item that is wrong is answered
                 errors += 1
                 if errors <= _MOST_ERRORS:
-                    place = f"{fields['op']}: {name}.{number}"
-                    self._status(StatusLevel.ERROR, f"{place}: {coded_text(error)}", "")
+                    self._fail(error, f"{fields['op']}: {name}.{number}: ")
         if errors > _MOST_ERRORS:
             self._fail(ControlMessageError(f"and {errors - _MOST_ERRORS} more are refused"))
 
@@ -368,12 +370,12 @@ class FoxgloveSession:
             raise LimitError(f"{self._client.limits.calls} calls are under way")
         request = {"id": text_of(fields, "id")} if "id" in fields else {}
         charge = self._client.account.charge(MemoryUse.ASKED, self._client.in_hand)
-        reply = asyncio.ensure_future(self._show_parameters(names, request))
+        reply = asyncio.ensure_future(self._show_parameters(names, request, f"{fields['op']}: "))
         self._calls.add(reply)
         reply.add_done_callback(self._calls.discard)
         reply.add_done_callback(lambda _: charge.release())
 
-    async def _show_parameters(self, names: list[str], request: dict[str, str]) -> None:
+    async def _show_parameters(self, names: list[str], request: dict[str, str], place: str) -> None:
         listing: VisibleListing | None = None
         while listing is not self._listing:  # or what has changed meanwhile would come before
             listing = self._listing
@@ -381,7 +383,7 @@ class FoxgloveSession:
             try:
                 frame = await self._backend.in_worker(made)
             except Exception as error:  # noqa: BLE001 - every message is answered
-                self._fail(error)
+                self._fail(error, place)
                 return
             await self._client.outbox.room(len(frame))
         self._client.outbox.reply(frame, text=True)
@@ -454,8 +456,8 @@ class FoxgloveSession:
     def _warn(self, topic: str, text: str) -> None:
         self._status(StatusLevel.WARNING, f"{topic} {text}", topic)
 
-    def _fail(self, error: BaseException) -> None:
-        self._status(StatusLevel.ERROR, coded_text(error), "")
+    def _fail(self, error: BaseException, place: str = "") -> None:
+        self._status(StatusLevel.ERROR, f"{place}{coded_text(error)}", "")
 
     def _status(self, level: StatusLevel, text: str, asked: str) -> None:
         self._client.outbox.reply(self._written_status(level, text, asked), text=True)

@@ -117,7 +117,7 @@ def list_of(fields: Mapping[str, Any], name: str, kind: type[T]) -> list[T]:
     found = fields.get(name)
     if not isinstance(found, list) or any(type(item) is not kind for item in found):
         items = "objects" if kind is dict else "texts" if kind is str else "numbers"
-        raise ControlMessageError(f"{fields.get('op')}: {name}: expected a list of {items}")
+        raise ControlMessageError(f"{name}: expected a list of {items}")
     return found
 
 
