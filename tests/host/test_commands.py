@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import itertools
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
-from tests.processes import run_python
+from tests.host.hosted import hasten
+from tests.processes import lives, run_python
 
 from uoarm import RobotManager
+from uoarm._host import process_connection
 from uoarm._host.remote_bridge import RemoteBridge, RemoteSink
 from uoarm.errors import CommandRefusedError
 from uoarm.model import (
@@ -173,6 +178,32 @@ def test_no_stop_waits_until_another_input_is_closed(
     monkeypatch.setattr(RemoteSink, "_close", look_and_close)
     bridge.close(timeout=2 * patience())
     assert taken(tmp_path) == ["0.5", "0.5", "0.0", "0.0"]
+
+
+@pytest.mark.parametrize("comes_back", [True, False])
+def test_a_host_that_is_given_up_may_stop_what_moves_before_it_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, comes_back: bool
+) -> None:
+    (tmp_path / "moving.py").write_text(COMPONENTS)
+    monkeypatch.setattr(process_connection, "_STOP_SECONDS", patience() if comes_back else 0.0)
+    policy = CommandPolicy(lifetime=3600, stop=StopMessage({"v": 0.0}))
+    settings = {"silence": patience()}
+    bridge = RemoteBridge(BridgeSpec("far", "python", {"path": [str(tmp_path)]}, settings))
+    base = Endpoint("far", "base", Role.INPUT, ("moving:base",), command=policy)
+    bridge.open_sink(base, MessageStructure({}), timeout=patience()).send({"v": 0.5})
+    wait(lambda: taken(tmp_path))
+    process = bridge.process
+    os.kill(process, signal.SIGSTOP)
+    hasten(bridge, 0.5)
+    if comes_back:
+        host: Any = bridge._host
+        wait(lambda: host._started._process.stdin.closed or not lives(process))
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGCONT)
+    wait(lambda: bridge._host.dead)
+    assert not lives(process)
+    assert taken(tmp_path) == ["0.5", "0.0"][: 1 + comes_back]
+    bridge.close()
 
 
 ENDING = """

@@ -114,6 +114,14 @@ class HostProcess:
         """Wait for the process to end; False when it has not within `timeout` seconds."""
         return self._gone.wait(timeout)
 
+    def close_stdin(self) -> None:
+        """Have the process stop what moves, and end, as if this one had died."""
+        assert self._process.stdin is not None, "stdin is a pipe"
+        try:
+            self._process.stdin.close()
+        except OSError:
+            self._log.debug("its stdin was broken")
+
     def kill(self) -> None:
         """End the process and its children without a word."""
         self._signal(signal.SIGKILL)
@@ -136,11 +144,7 @@ class HostProcess:
                 self._log.warning("it does not end after SIGTERM: SIGKILL")
                 self.kill()
         gone = self.wait(_KILLED_SECONDS)
-        assert process.stdin is not None, "stdin is a pipe"
-        try:
-            process.stdin.close()
-        except OSError:
-            self._log.debug("its stdin was broken")
+        self.close_stdin()
         self._waiter.join(_KILLED_SECONDS)
         if not gone:
             raise BridgeError(f"process {process.pid} of bridge host {self._name!r} does not end")
@@ -302,6 +306,7 @@ class HostSettings:
 
 _log = logging.getLogger("uoarm")
 _POLITE_SECONDS = 1.5
+_STOP_SECONDS = 1.5  # more than a host takes for that
 _KILLED_SECONDS = 5.0
 
 
@@ -428,9 +433,15 @@ class ProcessConnection(HostConnection):
         self._liveness.die(self._given_up or how)
 
     def _give_up(self, silent: float) -> None:
-        """End it before its death is reported: what it took later would be counted as lost, too."""
+        """End it before its death is reported: what it took later would be counted as lost, too.
+
+        What it moves would go on after a kill. Where it comes to run once more, it stops that.
+        """
         assert self._started is not None, "it has a heartbeat"
         self._given_up = f"it has not answered for {silent:.1f} s"
+        if self.moves:
+            self._started.close_stdin()
+            self._started.wait(_STOP_SECONDS)
         self._started.kill()
         self._started.wait(_KILLED_SECONDS)
         self._liveness.die(self._given_up)

@@ -357,6 +357,8 @@ class RemoteBridge(Bridge):
         number = next(self._numbers)
         channel = RemoteSink(endpoint, number, self._ask_to_close, lambda: self._drop(number))
         channel.counter = self._counter()
+        if endpoint.command is not None and endpoint.command.stop is not None:
+            self._host.moves = True
         with on_failure(self._release, channel.counter):
             opening = _opening(number, channel.counter, endpoint, structure)
             queue = self._ask("sink", **opening)

@@ -273,11 +273,13 @@ class HostConnection:
         transport: to the host; set before `close` may be called.
         counters: in memory that is shared with the host; None: there is none.
         greeting: how it answered to hello.
+        moves: whether it has had an input that must be stopped when all else ends.
     """
 
     transport: Transport
     counters: SharedCounters | None = None
     greeting: Mapping[str, Any]
+    moves = False
     _heartbeat: Heartbeat | None = None
 
     def __init__(self, liveness: LivenessMonitor) -> None:
