@@ -6,6 +6,8 @@ import argparse
 import asyncio
 import sys
 
+from websockets.exceptions import InvalidHandshake
+
 from uoarm.client import connect
 from uoarm.errors import UoarmError
 
@@ -32,7 +34,7 @@ def main() -> None:
         asyncio.run(drive(options.url, options.speed, options.turn, options.seconds))
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
-    except (OSError, UoarmError) as error:
+    except (OSError, InvalidHandshake, UoarmError) as error:
         sys.exit(str(error))
 
 

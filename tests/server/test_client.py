@@ -421,6 +421,20 @@ async def test_what_is_longer_than_the_server_takes_ends_itself_only(
         await stream.kill()
 
 
+@pytest.mark.parametrize(
+    ("url", "why"),
+    [
+        ("foo", "foo isn't a valid URI"),
+        ("ws://10.0.0.1:99999/", "Port out of range"),
+        ("ws://[::1/", "Invalid IPv6"),
+        ("ws://user:secret@", r"ws://\*\*\*@"),
+    ],
+)
+async def test_what_is_no_address_is_refused(url: str, why: str) -> None:
+    with pytest.raises(UsageError, match=rf"expected ws://HOST:PORT/ or wss://HOST:PORT/: .*{why}"):
+        await connect(url).__aenter__()
+
+
 async def test_a_token_is_shown_and_a_denial_has_its_code(serve: Serve, tmp_path: Path) -> None:
     access = tmp_path / "access.yaml"
     access.write_text(

@@ -115,7 +115,7 @@ async def connect(
         ssl.SSLCertVerificationError: the server's certificate is not trusted.
         TimeoutError: it took too long.
         websockets.exceptions.InvalidHandshake: the server refused, for example without a token.
-        UsageError: the token is none.
+        UsageError: the address or the token is none.
     """
     server = ServerAddress(url, token, tls, timeout, answer=answer)
     made = server.robot(

@@ -25,8 +25,10 @@ from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.protocol import Event, State
 from websockets.typing import Subprotocol
 
+from uoarm._secrets import without_secrets
 from uoarm._wire import Form
 from uoarm.bridge import close_in_children, redirection
+from uoarm.errors import UsageError
 
 if TYPE_CHECKING:
     from websockets.typing import BytesLike  # not in the oldest version
@@ -98,7 +100,8 @@ class ClientSocket(ClientConnection):
             silence: seconds without a sign of life after which the connection counts as dropped.
 
         Raises:
-            OSError, TimeoutError, websockets.exceptions.InvalidHandshake: as `connect` says.
+            OSError, TimeoutError, websockets.exceptions.InvalidHandshake, UsageError: as `connect`
+                says.
         """
         # None would mean that there is to be no TLS.
         secured: Any = {} if tls is None else {"ssl": tls}
@@ -116,10 +119,11 @@ class ClientSocket(ClientConnection):
                 close_timeout=_GOODBYE_SECONDS,
                 **secured,
             )
-        except InvalidURI as error:
+        except (InvalidURI, ValueError) as error:
             if where := redirection(error, url):  # as for a path without the slash at its end
                 raise InvalidHandshake(where) from error
-            raise
+            wanted = "url: expected ws://HOST:PORT/ or wss://HOST:PORT/"
+            raise UsageError(f"{wanted}: {without_secrets(str(error))}") from error
         assert isinstance(opened, cls), "as it was asked to make"
         return opened
 
