@@ -13,3 +13,15 @@ def closed(**members: object) -> dict[str, Any]:
         "required": list(members),
         "additionalProperties": False,
     }
+
+
+class Quits(dict[str, Any]):
+    """What a component gives, and ends whatever thread looks into it."""
+
+    def __init__(self, kind: type[BaseException]) -> None:
+        self.kind = kind
+
+    def __len__(self, *_: object) -> Any:
+        raise self.kind
+
+    __iter__ = __contains__ = __getitem__ = get = items = keys = __len__

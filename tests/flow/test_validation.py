@@ -17,6 +17,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from tests.calls import calls_of
+from tests.structures import Quits
 
 from uoarm._dataplane import Route, make_check
 from uoarm.bridge._compiled_check import judged
@@ -67,18 +68,6 @@ def test_a_value_that_is_none_of_json_is_refused_as_a_message(schema: Any, messa
     assert checker is not None
     with pytest.raises(MessageError, match=r"camera\.default: "):
         checker(message)
-
-
-class Quits(dict[str, Any]):
-    """What a component gives, and ends whatever thread looks into it."""
-
-    def __init__(self, kind: type[BaseException]) -> None:
-        self.kind = kind
-
-    def __len__(self, *_: object) -> Any:
-        raise self.kind
-
-    __iter__ = __contains__ = __getitem__ = get = items = keys = __repr__ = __len__
 
 
 @pytest.mark.parametrize("kind", [SystemExit, KeyboardInterrupt, ValueError])

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.structures import Quits
 
 from uoarm.model import message_octets
+from uoarm.testing import Background
 
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.binary()
 MESSAGES = st.recursive(
@@ -75,3 +77,18 @@ def test_depth_and_foreign_values_do_it_no_harm() -> None:
     assert message_octets((bytes(1000), {1, 2})) > 1000
     while deep:  # taken apart without recursion, which a Python of today survives anyway
         deep = deep.pop()  # type: ignore[assignment] # a list of lists
+
+
+@pytest.mark.parametrize("kind", [SystemExit, RuntimeError])
+def test_what_raises_as_it_is_counted_costs_nothing_else(kind: type[BaseException]) -> None:
+    counts = Background(lambda: message_octets([bytes(5000), Quits(kind), bytes(5000)]))
+    assert counts.result() > 10_000
+
+
+def test_a_message_within_itself_has_an_end() -> None:
+    itself: list[object] = [bytes(5000)]
+    itself += [itself] * 100
+    shared: list[object] = []
+    for _ in range(100):
+        shared = [shared, shared]
+    assert message_octets({"itself": itself, "shared": shared}) > 5000

@@ -15,6 +15,7 @@ from attrs.validators import ge, gt
 
 from uoarm._arguments import built_with_arguments
 from uoarm._mistakes import choose
+from uoarm._raised import contained
 from uoarm.errors import ConfigurationError
 
 Message: TypeAlias = Any
@@ -137,38 +138,50 @@ class ValidationMode(Enum):
 
 _FLAT = {int, float, bool, type(None), str, bytes}
 _MANY = 32
+_COUNTED_AT_EACH = 100_000
 
 
 def message_octets(message: Message, *, most: int | None = None) -> int:
     """Return how many octets of memory a message holds: its decoded values, with their containers.
 
     An estimate on the safe side: what several places share (a name, a small number) is counted at
-    each; of an object beyond the data model only what it says of itself. Never raises, never
-    recurses, linear in the number of values; a buffer is one value, and long lists of numbers or
-    texts are counted at the speed of C.
+    each, until a hundred thousand values, as one within itself has no end; of an object beyond the
+    data model only what it says of itself. Never raises, never recurses, linear in the number of
+    values; a buffer is one value, and long lists of numbers or texts are counted at the speed of C.
 
     Args:
         message: any value of the data model, with octets and numeric buffers.
         most: counting stops when this is passed; the result is then some number above it.
     """
-    octets = 0
+    octets, left = 0, _COUNTED_AT_EACH
     waiting: list[Any] = [message]
+    seen: set[int] = set()
     while waiting:
         value = waiting.pop()
         kind = type(value)
-        octets += getsizeof(value)
-        if most is not None and octets > most:
-            break  # before the values of a long list are even looked at
-        if kind in _FLAT:
-            continue
-        if kind is dict or isinstance(value, Mapping):
-            octets += sum(map(getsizeof, value))
-            waiting.extend(value.values())
-        elif isinstance(value, list | tuple):
-            if len(value) > _MANY and set(map(type, value)) <= _FLAT:
+        try:
+            octets += getsizeof(value)
+            if most is not None and octets > most:
+                break  # before the values of a long list are even looked at
+            if kind in _FLAT:
+                continue
+            inner: Any = ()
+            if kind is dict or isinstance(value, Mapping):
                 octets += sum(map(getsizeof, value))
-            else:
-                waiting.extend(value)
-        elif isinstance(size := getattr(value, "nbytes", None), int):
-            octets += max(size - getsizeof(value), 0)  # what a view or a numpy array stands for
+                inner = value.values()
+            elif isinstance(value, list | tuple):
+                if len(value) > _MANY and set(map(type, value)) <= _FLAT:
+                    octets += sum(map(getsizeof, value))
+                else:
+                    inner = value
+            elif isinstance(size := getattr(value, "nbytes", None), int):
+                octets += max(size - getsizeof(value), 0)  # what a view or a numpy array stands for
+            left -= len(inner)
+            if left < 0 and inner:
+                if id(value) in seen:
+                    continue
+                seen.add(id(value))
+            waiting.extend(inner)
+        except BaseException as error:  # noqa: BLE001 - of its methods, or it changes meanwhile
+            contained(error)
     return octets
