@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.structures import Quits
 
 from uoarm._host.transport import codec
 from uoarm._host.transport.codec import pack, unpack
 from uoarm.errors import MessageError
+from uoarm.testing import Background
 
 _leaves = (
     st.none()
@@ -113,6 +115,13 @@ def test_a_message_nested_too_deep_is_refused() -> None:
         message = [message]
     with pytest.raises(MessageError, match="cannot be written"):
         pack(message)
+
+
+@pytest.mark.parametrize("kind", [SystemExit, RuntimeError])
+def test_what_raises_as_it_is_written_is_refused(kind: type[BaseException]) -> None:
+    writes = Background(lambda: pack({"x": math.nan, "y": Quits(kind)}))
+    with pytest.raises(MessageError, match=kind.__name__):
+        writes.result()
 
 
 def test_every_cut_of_a_frame_is_refused() -> None:

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import attrs
 import pytest
 from mcap.reader import make_reader
 from tests.disk import full_after
@@ -190,12 +191,23 @@ def test_what_finds_no_room_before_the_writer_is_counted_and_seen_in_the_numbers
 def test_a_message_that_has_no_form_costs_itself_only(
     bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
 ) -> None:
+    def write(message: Message) -> bytes:
+        if message == 2:
+            raise SystemExit("one of its values quits")
+        return written(message)
+
     clicks = bridge.emitter("clicks", True)
     with make_robot().record("counter", path=tmp_path / "run.mcap") as recording:
-        for value in (1, "half of a pair: \ud800", 2):
+        clicks.emit(1)
+        [track] = recording._tracks
+        wait(lambda: track.form is not None)
+        assert track.form is not None
+        written = track.form.encode
+        track.form = attrs.evolve(track.form, encode=write)
+        for value in ("half of a pair: \ud800", 2, 3):
             clicks.emit(value)
-    assert recording.status().channels[0].unwritable == 1
-    assert read_json_of(recording.status().files[0], "/counter") == [1, 2]
+    assert recording.status().channels[0].unwritable == 2
+    assert read_json_of(recording.status().files[0], "/counter") == [1, 3]
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])

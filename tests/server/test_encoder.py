@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm._wire import BINARY_FORM, TEXT_FORM
-from uoarm.errors import MessageError
 from uoarm.model import Message
 from uoarm.server import Limits
 from uoarm.server.streams import Account, MessageForm, Outbox, Subscription
@@ -72,7 +71,7 @@ class Reader(Subscription):
     def _form(self, number: int, message: Message) -> bytes:
         self.threads.append(threading.current_thread())
         if isinstance(message, list) and message[-1] is LOST:
-            raise MessageError("it has no form")
+            raise SystemExit("it has no form")
         return str(number).encode()
 
     def _take(self, frame: bytes, number: int) -> list[bytes]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 import sys
 from array import array
@@ -27,6 +28,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.structures import Quits
 
 from uoarm._wire import _binary
 from uoarm._wire._binary import (
@@ -41,6 +43,7 @@ from uoarm._wire._binary import (
 )
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, BudgetUse
+from uoarm.testing import Background
 
 values = st.recursive(
     st.none()
@@ -358,6 +361,13 @@ def test_large_parts_are_deeper_than_a_client_takes() -> None:
 def test_what_has_no_form_is_refused_by_name() -> None:
     with pytest.raises(MessageError, match="object"):
         write_binary({"x": object()})
+
+
+@pytest.mark.parametrize("kind", [SystemExit, RuntimeError])
+def test_what_raises_as_it_is_written_is_refused(kind: type[BaseException]) -> None:
+    writes = Background(lambda: write_binary({"x": math.nan, "y": Quits(kind)}))
+    with pytest.raises(MessageError, match=kind.__name__):
+        writes.result()
 
 
 def rows(sizes: list[int], items: bytes = b"\x81\x01") -> bytes:

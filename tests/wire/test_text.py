@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
-from tests.structures import closed
+from tests.structures import Quits, closed
 
 from uoarm._wire import LARGEST, TEXT_FORM, read_binary, write_binary
 from uoarm._wire._text import read_text, write_text
@@ -27,6 +27,7 @@ from uoarm._wire._text_schema import make_reader, text_schema, viewer_schema
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.local import Range
 from uoarm.model import Budget, BudgetUse
+from uoarm.testing import Background
 
 OCTETS = {
     "type": "array",
@@ -109,6 +110,13 @@ def test_a_name_that_is_given_twice_is_refused(value: object, name: str, deep: b
 def test_what_no_form_has_is_refused_beside_a_wide_number_too(text: str, why: str) -> None:
     with pytest.raises(ControlMessageError, match=why):
         read_text(text, BudgetUse(Budget()))
+
+
+@pytest.mark.parametrize("kind", [SystemExit, RuntimeError])
+def test_what_raises_as_it_is_written_is_refused(kind: type[BaseException]) -> None:
+    writes = Background(lambda: write_text({"x": math.nan, "y": Quits(kind)}))
+    with pytest.raises(MessageError, match=kind.__name__):
+        writes.result()
 
 
 def same(left: object, right: object) -> bool:

@@ -29,6 +29,7 @@ from uuid import UUID
 import cbor2
 import orjson
 
+from uoarm._raised import contained, sentence_of
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, BudgetUse, Message
 
@@ -153,8 +154,9 @@ def write_binary(message: Message) -> bytes:
             spending.octets(len(made))
             if not _is_few(message):
                 scan_cbor(made, spending)
-    except (cbor2.CBOREncodeError, TypeError, ValueError, RecursionError) as error:
-        raise MessageError(f"the message has no form as CBOR: {error}") from error
+    except BaseException as error:  # of a value's own methods, or of one that changes meanwhile
+        why = sentence_of(contained(error))
+        raise MessageError(f"the message has no form as CBOR: {why}") from error
     return made
 
 

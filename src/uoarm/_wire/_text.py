@@ -17,6 +17,7 @@ from typing import Any
 import orjson
 from pybase64 import b64encode
 
+from uoarm._raised import contained, sentence_of
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, BudgetUse, Message, count_names, read_json, scan_json
 
@@ -172,8 +173,9 @@ def write_text_parts(message: Message, most: Budget | None = None) -> list[bytes
             spending.octets(octets)
             if len(skeleton) > most.elements:
                 scan_json(skeleton.decode(), spending)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise MessageError(f"the message has no form as JSON text: {error}") from error
+    except BaseException as error:  # of a value's own methods, or of one that changes meanwhile
+        why = sentence_of(contained(error))
+        raise MessageError(f"the message has no form as JSON text: {why}") from error
     return parts
 
 

@@ -16,8 +16,8 @@ from typing import Any, TypeAlias
 from typing_extensions import Self
 
 from uoarm._interrupts import wait_for
-from uoarm._raised import LimitedLog, on_failure, text_of
-from uoarm.errors import MessageError, UoarmError, UsageError
+from uoarm._raised import LimitedLog, contained, on_failure, sentence_of, text_of
+from uoarm.errors import UoarmError, UsageError
 from uoarm.model import Gap, Message, StatusEvent
 from uoarm.record._arrivals import (
     Arrivals,
@@ -386,11 +386,11 @@ class Recording:
             return message.octets
         try:
             return track.form.encode(message)
-        except MessageError as error:
+        except BaseException as error:  # noqa: BLE001 - of a value's own methods, say
             track.unwritable += 1
-            self._records.write(
-                logging.WARNING, f"{self._subject}: a message of {track.function}: {error}"
-            )
+            why = sentence_of(contained(error))
+            text = f"{self._subject}: a message of {track.function}: {why}"
+            self._records.write(logging.WARNING, text)
             return None
 
     def _begin_file(self) -> McapFile:

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import msgpack
 
 from uoarm import errors
-from uoarm._raised import text_of
+from uoarm._raised import contained, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UoarmError
 from uoarm.model import Message
 
@@ -90,10 +90,11 @@ def pack(message: Message) -> bytes:
 
     try:
         tree: bytes = msgpack.packb(message, default=other, unicode_errors="surrogatepass")
-    except (ValueError, OverflowError, TypeError) as error:
-        if isinstance(error, MessageError):
-            raise
-        raise MessageError(f"a message cannot be written: {error}") from error
+    except MessageError:
+        raise
+    except BaseException as error:  # of a value's own methods, or of one that changes meanwhile
+        text = f"a message cannot be written: {text_of(contained(error))}"
+        raise MessageError(text) from error
     if not buffers:
         return _LENGTH.pack(len(tree)) + tree
     parts = [_LENGTH.pack(len(tree)), tree, _FILL[: -(len(tree) + _LENGTH.size) % _STEP]]

@@ -12,6 +12,7 @@ from typing import Protocol, TypeAlias
 from attrs import frozen
 
 from uoarm._dataplane import Clock
+from uoarm._raised import contained, text_of
 from uoarm.errors import MessageError
 from uoarm.model import Message, QueuePolicy
 from uoarm.server._limits import Limits
@@ -325,9 +326,11 @@ class Subscription:
         made: bytes | MessageError
         try:
             made = write(envelope.number, envelope.message)
-        except MessageError as error:
+        except BaseException as error:  # noqa: BLE001 - of the message's values, or a front end's
+            raised = contained(error)
+            made = raised if isinstance(raised, MessageError) else MessageError(text_of(raised))
             # Kept as long as the message waits: its frames would keep what they refer to as well.
-            made = error.with_traceback(None)
+            made = made.with_traceback(None)
         envelope.forms[self._key] = made
         return made
 
