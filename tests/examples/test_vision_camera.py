@@ -109,6 +109,45 @@ def test_broken_files_are_named(tmp_path: Path, name: str, text: str) -> None:
         next(camera(str(tmp_path / name)))
 
 
+def test_a_video_without_a_picture_is_no_end_in_order(tmp_path: Path) -> None:
+    """Looped, it would be opened again and again, and nothing would ever come."""
+    write_video(tmp_path / "empty.avi", [])
+    for loop in (False, True):
+        with pytest.raises(OSError, match=r"empty\.avi has no pictures"):
+            next(camera(str(tmp_path / "empty.avi"), loop=loop))
+
+
+@pytest.fixture
+def device(folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
+    """A camera that is unplugged after four pictures."""
+
+    capture = cv2.VideoCapture()
+
+    class Device:  # a subclass of OpenCV's crashes as it is collected
+        read, release = capture.read, capture.release
+
+        def open(self, number: object) -> bool:
+            assert number == 7
+            return bool(capture.open(str(folder / "1.avi")))
+
+    monkeypatch.setattr(cv2, "VideoCapture", Device)
+    return 7
+
+
+def test_a_device_that_gives_no_more_pictures_is_lost(device: int) -> None:
+    frames = camera(device)
+    assert [frame["source"] for frame in itertools.islice(frames, 4)] == ["device 7"] * 4
+    with pytest.raises(OSError, match="device 7 gives no more pictures"):
+        next(frames)
+    assert len(list(camera(str(device), limit=3))) == 3
+
+
+def test_a_device_keeps_its_own_rate(device: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    assert len(list(camera(device, rate=4, limit=4))) == 4
+    assert clock.waits == []
+
+
 def test_octets_must_match_width_and_height() -> None:
     frame = as_frame(np.zeros((4, 6, 3), np.uint8), "test", 0)
     frame["width"] = 7

@@ -40,8 +40,10 @@ def camera(
 
     Raises:
         FileNotFoundError: there is nothing to play at `path`.
-        OSError: a file or device cannot be read as pictures.
+        OSError: a file or device cannot be read as pictures, or a device gives no more.
     """
+    if _is_device(path):
+        rate = 0.0
     playing = _again(path, excerpt) if loop else _play(path, excerpt)
     due = time.monotonic()
     for sequence, (source, picture) in enumerate(itertools.islice(playing, limit or None)):
@@ -62,14 +64,19 @@ def _again(path: str | int, excerpt: int) -> Iterator[tuple[str, Picture]]:
 
 
 def _play(path: str | int, excerpt: int) -> Iterator[tuple[str, Picture]]:
-    if str(path).isdecimal():
+    if _is_device(path):
         yield from _frames(int(path), f"device {path}", 0)
-        return
+        # A recording ends in order; a camera that ends is unplugged, and another one takes over.
+        raise OSError(f"device {path} gives no more pictures")
     for file in _files(str(path)):
         if _is_picture(file):
             yield file.name, _photo(file)
         else:
             yield from _frames(str(file), file.name, excerpt)
+
+
+def _is_device(path: str | int) -> bool:
+    return str(path).isdecimal()
 
 
 def _files(path: str) -> list[Path]:
@@ -98,7 +105,11 @@ def _photo(file: Path) -> Picture:
 
 def _frames(what: str | int, source: str, excerpt: int) -> Iterator[tuple[str, Picture]]:
     with closing(_Video(what, source)) as video:
-        for picture in itertools.islice(video, excerpt or None):
+        pictures = itertools.islice(video, excerpt or None)
+        first = next(pictures, None)
+        if first is None:
+            raise OSError(f"{source} has no pictures that can be read")
+        for picture in itertools.chain([first], pictures):
             yield source, picture
 
 
