@@ -54,7 +54,8 @@ def test_one_that_comes_later_is_an_event_and_so_is_its_end(bridge: Bridge, peer
     known(bridge, "/stranger", bare=True)
     stranger.do("redefine")
     stranger.do("advertise", topic="/mixed")
-    assert f"/stranger has {OTHER}" in events.event(Health.DEGRADED, "defined otherwise").cause
+    # The graph may learn of its publisher before its node, and then there is a report of each.
+    events.event(Health.DEGRADED, f"defined otherwise there than here: /stranger has {OTHER}")
     stranger.do("unadvertise", topic="/mixed")
     events.event(Health.OK, "every peer has our definition")
     talker.do("publish", topic="/mixed", count=1)
