@@ -380,6 +380,17 @@ def _requirements(name: str, extra: str) -> Iterator[tuple[str, str]]:
             yield from ((match[1], part) for part in (match[2] or "").split(","))
 
 
+def test_every_variable_that_is_read_is_on_a_page() -> None:
+    sources = [*ROOT.glob("src/**/*.py"), *ROOT.glob("plugins/*/src/**/*.py")]
+    every = set[str]().union(*(variables(file) for file in (*sources, *ROOT.glob("deploy/*.py"))))
+    assert len(every) > 5
+    assert every <= set[str]().union(*map(variables, INSTALLING))
+
+
+def variables(file: Path) -> set[str]:
+    return set(re.findall(r"\bUOARM_[A-Z_]+\b", file.read_text(encoding="utf-8")))
+
+
 def test_what_users_may_install_beside_is_on_a_page() -> None:
     tomllib = pytest.importorskip("tomllib", reason="part of Python since 3.11")
     text = "".join(page.read_text("utf-8") for page in INSTALLING)
