@@ -221,6 +221,16 @@ def test_many_that_are_opened_and_closed_leave_the_loop_its_time(
     assert sum(spans) < 0.5 * (time.monotonic() - began)
 
 
+def test_what_is_discarded_leaves_nothing_with_the_node(runner: NodeRunner) -> None:
+    entities = runner.node.default_callback_group.entities
+    before = len(entities)
+    runner.discard(runner.subscribe(INT64, "/loop_gone", Policies(), Inbox(), events={}))
+    runner.discard(runner.advertise(INT64, "/loop_gone", Policies(), events={}))
+    runner.discard(runner.client(CALL, "/loop_gone_call"))
+    runner.discard(runner.server(CALL, "/loop_gone_call", lambda _, reply: None))
+    assert len(entities) == before
+
+
 def test_what_ends_every_wait_and_is_never_taken_makes_the_loop_rest(
     runner: NodeRunner, peer: Callable[..., Peer]
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -206,6 +207,8 @@ class NodeRunner:
     def discard(self, native: Any) -> None:
         """Destroy what was made here; waits for no thread that is held up."""
         self._loop.remove(*self._entities.pop(native, ()))
+        # rclpy keeps a dead reference to each entity that its group ever had.
+        self.node.default_callback_group.entities.discard(weakref.ref(native))
         with self._destroying:
             if isinstance(native, GoalServer):
                 native.destroy()
