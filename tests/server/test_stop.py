@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 import threading
@@ -23,8 +24,16 @@ from uoarm.client import ServerError, connect
 from uoarm.config import loads
 from uoarm.errors import UsageError
 from uoarm.model import Message
-from uoarm.server import Limits, Server, ServerOptions, hash_token, make_token
-from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.server import (
+    Limits,
+    Server,
+    ServerOptions,
+    hash_token,
+    make_token,
+    serve_in_thread,
+)
+from uoarm.server.streams import Outbox
+from uoarm.testing import Background, MemoryBridge, patience, wait
 from uoarm.testing._components import Taker
 
 ROBOT = """
@@ -254,3 +263,32 @@ def test_who_names_no_server_asks_the_one_that_serve_starts_here(command: str) -
     found = {parameter.name: parameter.default for parameter in found_command.params}
     settings = ServerOptions()
     assert found["url"] == f"ws://{settings.host}:{settings.port}/"
+
+
+def test_what_clients_move_stops_before_a_server_that_ends_waits_for_them(
+    robot: RobotManager, base: Taker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits, go_on = threading.Event(), threading.Event()
+    options = ServerOptions(port=0, limits=Limits(stop_seconds=4 * patience()))
+    emptied = Outbox.emptied
+
+    async def empty_late(outbox: Outbox) -> None:
+        waits.set()
+        await asyncio.to_thread(go_on.wait, patience())
+        await emptied(outbox)
+
+    monkeypatch.setattr(Outbox, "emptied", empty_late)
+    serving = ExitStack()
+    server = serving.enter_context(serve_in_thread(robot, options))
+    with serving, Talk(url(server)) as driver:
+        drive = driver.open("drive")
+        driver.ask("Data", drive, 5)
+        ending = Background(serving.close)
+        assert waits.wait(patience())
+        wait(lambda: base.taken.messages == [5, 0])
+        refused = [driver.refused("Data", drive, 6)["code"] for _ in range(20)]
+        refused.append(driver.refused("Request", "drive")["code"])
+        go_on.set()
+        ending.result(patience())
+    assert base.taken.messages == [5, 0]
+    assert set(refused) == {"closed"}

@@ -192,7 +192,12 @@ class Server:
             self._watches.append(asyncio.ensure_future(reading))
 
     async def stop(self) -> None:
-        """Take no more clients, let what waits be written, close properly; bounded in time."""
+        """Take no more clients, let what waits be written, close properly; bounded in time.
+
+        What clients move stops first.
+        """
+        if self._registry is not None:
+            self._registry.end()
         for watch in self._watches:
             watch.cancel()
         for listening in self._listening:

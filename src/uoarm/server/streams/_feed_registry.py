@@ -148,6 +148,7 @@ class FeedRegistry:
             robot.structure_of_type, self.in_worker, lambda: robot.config.bridges
         )
         self._pending = PendingFeeds(self._join, self._claim, self.leave, at_once)
+        self._is_ending = False
         self._stopping: asyncio.Future[StopReport] | None = None
         self._after_stop: dict[Hashable, asyncio.Future[Any]] = {}
         self._releasing: asyncio.Future[None] | None = None
@@ -205,6 +206,8 @@ class FeedRegistry:
     async def _join(self, wanted: FeedKey) -> Feed:
         feed = self._feeds.get(wanted)
         if feed is None:
+            if self._is_ending:
+                raise ConnectionClosedError("the server stops")
             if self._closings[wanted.function] >= _CLOSINGS:
                 raise BusyError(
                     f"{_CLOSINGS} earlier connections to {wanted.function!r} are being closed still"
@@ -472,19 +475,23 @@ class FeedRegistry:
         """Notify a watcher no more. Idempotent."""
         self._watchers.pop(watcher, None)
 
-    async def close(self) -> None:
-        """Kill what is open, as far as it can be done while the server closes."""
-        # First: no more events for what is closed below.
+    def end(self) -> None:
+        """Begin to kill what is open, and open nothing more: no command passes from now on."""
+        # First: no client is to take the end for that of its stream, which it opens anew later.
         self._stop_observing()
-        self._known.close()
-        self._types.close()
-        self.views.close()
+        self._is_ending = True
         for feed in list(self._claims):
             # However many clients still have it: the server stops, and this is the last claim.
             self._claims[feed] = 1
             self.leave(feed, "the server stops")
         while self._to_kill:
             self._kill_some()
+
+    async def close(self) -> None:
+        """Kill what is open, as far as it can be done while the server closes; after `end`."""
+        self._known.close()
+        self._types.close()
+        self.views.close()
         if self._kills:
             await asyncio.wait(self._kills.values(), timeout=self.limits.stop_seconds / 4)
         # After the kills, which need its threads; the mailbox last, which brings their outcomes.
