@@ -6,6 +6,7 @@ import asyncio
 import json
 import threading
 from array import array
+from types import SimpleNamespace
 from typing import Any
 
 import cbor2
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.structures import Quits
 
 from uoarm._wire import BINARY_FORM, TEXT_FORM
 from uoarm.model import Message
@@ -26,6 +28,10 @@ from uoarm.testing import patience
 LONG = [0.5] * 5_000
 LOST = object()
 """A long message without a form; `takes_long` knows it by its list."""
+
+
+class Tagged(bytes):
+    """Octets of a class of their own, as libraries have them."""
 
 
 @pytest.mark.parametrize(
@@ -44,6 +50,9 @@ LOST = object()
         (np.zeros(5_000), True),
         (np.float64(1), False),
         (object(), False),
+        ({"data": Tagged(b"ab")}, False),
+        ({"data": SimpleNamespace(size=(640, 480))}, True),  # as a picture of Pillow has it
+        (Quits(SystemExit), True),
     ],
 )
 def test_what_takes_long_is_known_beforehand(message: Message, *, expected: bool) -> None:

@@ -77,7 +77,18 @@ _TEXTS = frozenset({str, bytes, bytearray, memoryview})
 
 
 def takes_long(message: Message) -> bool:
-    """Say whether a message takes more than some 2 ms to write in any form; quick to say."""
+    """Say whether a message takes more than some 2 ms to write in any form; quick to say.
+
+    One of other values than messages have may: it is written where it holds up no client.
+    """
+    try:
+        return _is_long(message)
+    except BaseException as error:  # noqa: BLE001 - of its methods, or it changes meanwhile
+        contained(error)
+        return True
+
+
+def _is_long(message: Message) -> bool:
     left = _QUICK
     waiting: list[Any] = [message]
     for item in waiting:
@@ -91,7 +102,7 @@ def takes_long(message: Message) -> bool:
         elif kind in _TEXTS:
             left -= len(item) >> _OCTETS_SHIFT
         elif is_octets(item):
-            left -= item.nbytes >> _OCTETS_SHIFT
+            left -= memoryview(item).nbytes >> _OCTETS_SHIFT
         else:  # an array of numbers, of the standard library or of numpy
             left -= getattr(item, "size", 0) or (len(item) if hasattr(item, "__len__") else 0)
         if left < 0:
