@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import jsonschema
 import pytest
 from attrs import frozen
 from tests.processes import run_python
@@ -378,6 +379,24 @@ def _requirements(name: str, extra: str) -> Iterator[tuple[str, str]]:
     for line in lines:
         if match := re.match(r"(uoarm[\w-]*)(?:\[([\w,-]+)\])?", line):
             yield from ((match[1], part) for part in (match[2] or "").split(","))
+
+
+def test_messages_of_the_protocol_are_as_its_schema_says() -> None:
+    schema = json.loads((ROOT / "src/uoarm/_wire/protocol.schema.json").read_text("utf-8"))
+    lines = [
+        line
+        for name in ("protocol.md", "protocol-operating.md")
+        for block in blocks(ROOT / "docs" / name)
+        for line in block.text.splitlines()
+        if line.startswith(("→", "←"))
+    ]
+    assert len(lines) > 8
+    for line in lines:
+        message = json.loads(re.sub(r"(?:, )?…", "", line[2:]))
+        side = "client" if line.startswith("→") else "server"
+        jsonschema.validate(message, {**schema, "$ref": f"#/$defs/{side}.{message['op']}"})
+        # As the page asks of clients.
+        assert side == "server" or list(message)[-1] == "id", line
 
 
 def test_every_variable_that_is_read_is_on_a_page() -> None:
