@@ -5,27 +5,36 @@ python examples/rtm/counter.py [HOST:PORT]
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
+from contextlib import closing, suppress
 
 from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 
+from uoarm.errors import UoarmError
+
 
 def main(nameserver: str) -> None:
-    """Count until the component is asked to exit."""
-    orb = Orb("127.0.0.1", call_seconds=2.0)
-    component = RtComponent(orb, ComponentProfile("Counter0", type_name="Counter"))
-    count = component.add_out_port("count", "RTC::TimedLong", Types())
-    component.bind([NamingService(orb, nameserver, seconds=2.0)])
-    print("Counter0.rtc counts")
-    number = 0
-    while not component.wait_for_exit(0.5):
-        seconds, rest = divmod(time.time_ns(), 1_000_000_000)
-        count.write({"tm": {"sec": seconds, "nsec": rest}, "data": number})
-        number += 1
-    component.close()
-    orb.close()
+    """Count until interrupted, or until the component is asked to exit."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with (
+        suppress(KeyboardInterrupt),
+        closing(Orb("127.0.0.1", call_seconds=2.0)) as orb,
+        closing(RtComponent(orb, ComponentProfile("Counter0", type_name="Counter"))) as component,
+    ):
+        count = component.add_out_port("count", "RTC::TimedLong", Types())
+        component.bind([NamingService(orb, nameserver, seconds=2.0)])
+        print("Counter0.rtc counts", flush=True)
+        number = 0
+        while not component.wait_for_exit(0.5):
+            seconds, rest = divmod(time.time_ns(), 1_000_000_000)
+            count.write({"tm": {"sec": seconds, "nsec": rest}, "data": number})
+            number += 1
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else "localhost:2809")
+    try:
+        main(sys.argv[1] if len(sys.argv) > 1 else "localhost:2809")
+    except UoarmError as failure:
+        sys.exit(str(failure))

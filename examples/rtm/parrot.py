@@ -6,32 +6,41 @@ python examples/rtm/parrot.py [HOST:PORT]
 from __future__ import annotations
 
 import queue
+import signal
 import sys
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
 from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 
+from uoarm.errors import UoarmError
+
 
 def main(nameserver: str) -> None:
-    """Talk until the component is asked to exit."""
-    orb = Orb("127.0.0.1", call_seconds=2.0)
-    component = RtComponent(orb, ComponentProfile("Parrot0", type_name="Parrot"))
+    """Talk until interrupted, or until the component is asked to exit."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     types = Types([str(Path(__file__).parent / "words.idl")])
     received: queue.Queue[Any] = queue.Queue(maxsize=100)
-    component.add_in_port("listen", "Example::Words", types, received.put)
-    say = component.add_out_port("say", "Example::Words", types)
-    component.bind([NamingService(orb, nameserver, seconds=2.0)])
-    print("Parrot0.rtc listens")
-    while not component.wait_for_exit(0.0):
-        try:
-            message = received.get(timeout=0.2)
-        except queue.Empty:
-            continue
-        say.write({"text": f"{message['text']}, {message['text']}"})
-    component.close()
-    orb.close()
+    with (
+        suppress(KeyboardInterrupt),
+        closing(Orb("127.0.0.1", call_seconds=2.0)) as orb,
+        closing(RtComponent(orb, ComponentProfile("Parrot0", type_name="Parrot"))) as component,
+    ):
+        component.add_in_port("listen", "Example::Words", types, received.put)
+        say = component.add_out_port("say", "Example::Words", types)
+        component.bind([NamingService(orb, nameserver, seconds=2.0)])
+        print("Parrot0.rtc listens", flush=True)
+        while not component.wait_for_exit(0.0):
+            try:
+                message = received.get(timeout=0.2)
+            except queue.Empty:
+                continue
+            say.write({"text": f"{message['text']}, {message['text']}"})
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else "localhost:2809")
+    try:
+        main(sys.argv[1] if len(sys.argv) > 1 else "localhost:2809")
+    except UoarmError as failure:
+        sys.exit(str(failure))

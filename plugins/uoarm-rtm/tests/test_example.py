@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
+from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm._options import BufferOptions, RtmBridgeOptions, RtmEndpointOptions
+from uoarm_rtm.component import NamingService, Orb
 
 from uoarm._control import RobotManager
 from uoarm.bridge import options_table
@@ -44,11 +47,8 @@ def address() -> Iterator[str]:
 
 
 def configuration(address: str, tmp_path: Path) -> Path:
-    text = (EXAMPLES / "rtm" / "robot.yaml").read_text()
-    text = text.replace("localhost:2809", address)
-    text = text.replace("examples/rtm/words.idl", str(EXAMPLES / "rtm" / "words.idl"))
-    file = tmp_path / "robot.yaml"
-    file.write_text(text)
+    file = Path(shutil.copytree(EXAMPLES / "rtm", tmp_path / "rtm")) / "robot.yaml"
+    file.write_text(file.read_text().replace("localhost:2809", address))
     return file
 
 
@@ -66,6 +66,20 @@ def test_a_component_started_by_hand_is_received(address: str, tmp_path: Path) -
         ):
             one, two = numbers.get(timeout=patience()), numbers.get(timeout=patience())
             assert two["data"] == one["data"] + 1
+
+
+@pytest.mark.parametrize("name", ["counter", "parrot"])
+def test_a_component_that_is_ended_leaves_the_naming_service(address: str, name: str) -> None:
+    program_file = str(EXAMPLES / "rtm" / f"{name}.py")
+    with program("-u", program_file, address) as component:
+        assert say(component)
+        component.terminate()
+        assert component.wait(patience()) == 0
+    with closing(Orb("127.0.0.1", call_seconds=patience())) as orb:
+        assert not NamingService(orb, address, seconds=patience()).names()
+    done = run_python(program_file, "127.0.0.1:1")
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1, done.stderr
 
 
 @pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # lark, inside ROS 2
