@@ -143,6 +143,12 @@ def test_the_record_of_an_error_is_bounded_whatever_is_in_it(
     assert f"{type(error).__name__}: {str(error)[:20]}" in caplog.text
 
 
+class Hiding(Exception):  # noqa: N818 - of a component
+    @property
+    def __cause__(self) -> BaseException:  # type: ignore[override]
+        raise SystemExit
+
+
 class Quitting(logging.Handler):
     def handle(self, record: logging.LogRecord) -> bool:
         raise SystemExit(record.getMessage())
@@ -155,6 +161,7 @@ def test_a_record_that_cannot_be_written_keeps_nothing_from_what_follows_it() ->
         LimitedLog(logger).write(logging.WARNING, "it failed")
     finally:
         logger.removeHandler(handler)
+    LimitedLog(logger).write(logging.WARNING, "it failed", Hiding())
 
 
 @pytest.mark.parametrize("error", [ValueError("no"), chained(40)])

@@ -19,10 +19,9 @@ from uoarm._arguments import arguments
 from uoarm._control.connection import Connection
 from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
-from uoarm._encodable import shown
 from uoarm._forks import generation
 from uoarm._hints.applications import T
-from uoarm._raised import LimitedLog, foreign
+from uoarm._raised import LimitedLog, foreign, name_of
 from uoarm._renewal import HeldCommand
 from uoarm._support.aio_deadlines import event_by
 from uoarm._support.workers import WorkerExecutor
@@ -255,7 +254,7 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
                     try:
                         foreign(callback, message)
                     except Exception as error:  # noqa: BLE001 - a callback may raise anything
-                        records.write(logging.ERROR, f"callback {shown(callback)} raised", error)
+                        records.write(logging.ERROR, f"callback {name_of(callback)} raised", error)
         except ConnectionClosedError as error:
             _log.debug("%s", error)  # its state and cause say so to a caller that asks
 
@@ -452,7 +451,7 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
                 try:
                     foreign(listener, event)
                 except Exception as error:  # noqa: BLE001 - a listener may raise anything
-                    text = f"listener {shown(listener)} failed at event {event.number}"
+                    text = f"listener {name_of(listener)} failed at event {event.number}"
                     records.write(logging.ERROR, text, error)
 
         def pass_on(event: StatusEvent) -> None:

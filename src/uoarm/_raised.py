@@ -14,8 +14,8 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from types import FrameType, TracebackType
-from typing import ParamSpec, TypeVar
+from types import BuiltinFunctionType, FrameType, FunctionType, MethodType, TracebackType
+from typing import Any, ParamSpec, TypeVar
 
 from uoarm._encodable import encodable
 from uoarm._interrupts import Uninterrupted
@@ -29,6 +29,7 @@ _MOST_CHAINED, _MOST_WRITTEN = 50, 10_000
 _GROUP: type[BaseException] | tuple[()] = getattr(builtins, "BaseExceptionGroup", ())
 _OWN = frozenset({FailureReason.RAISED, FailureReason.BAD_MESSAGE, FailureReason.CONTRACT})
 _RECORD_SECONDS = 10.0
+_FUNCTIONS = {FunctionType, MethodType, BuiltinFunctionType}
 _FOLDER = __file__.removesuffix("_raised.py")
 
 
@@ -180,6 +181,16 @@ def _written(error: BaseException) -> int:
     return len(str(error)) + sum(map(len, getattr(error, "__notes__", ())))
 
 
+def name_of(callback: Any) -> str:
+    """Return the name of what others gave to be called: of an object that of its class.
+
+    Nothing of its own is asked for it, which may raise.
+    """
+    kind = type(callback)
+    name: str = callback.__qualname__ if kind in _FUNCTIONS else kind.__qualname__
+    return name
+
+
 def sentence_of(error: BaseException) -> str:
     """Return the text of an error of uoarm, which says all; of another one what `text_of` does."""
     return str(error) if isinstance(error, UoarmError) else text_of(error)
@@ -259,6 +270,10 @@ class LimitedLog:
             self._room -= 1
             left_out, self._left_out = self._left_out, 0
         more = f" (and {left_out} more since the last record)" if left_out else ""
+        with suppress(Exception):  # of a handler of the application, or of a component
+            foreign(self._log, level, f"{text}{more}", error)
+
+    def _log(self, level: int, text: str, error: BaseException | None) -> None:
         logger = self._logger
         if isinstance(logger, str):
             logger = logging.getLogger(logger)
@@ -268,5 +283,4 @@ class LimitedLog:
         trace = None if error is None else error.__traceback__
         if isinstance(error, UoarmError) and trace is not None and _is_ours(trace.tb_frame):
             shown = None  # all of it is ours, and the text says more
-        with suppress(Exception):  # of a handler of the application, or of a component
-            foreign(logger.log, level, "%s%s", text, more, exc_info=shown)
+        logger.log(level, "%s", text, exc_info=shown)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.manager import quitting
@@ -218,19 +219,40 @@ def test_a_callback_that_quits_is_named_and_gets_the_next_message(kind: str) -> 
         assert f"take raised {KINDS[kind]}" in connection.routes()[0].last_error
 
 
+class Quits:
+    """What quits whatever it is asked: called, or for its name."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+
+    def __call__(self, *_: object) -> Any:
+        quitting.quit_with(self.kind)
+
+    __repr__ = __getattr__ = __call__
+
+
 @every_kind
-def test_a_listener_that_quits_is_called_again_and_others_are_too(kind: str) -> None:
+def test_a_listener_that_quits_is_called_again_and_others_are_too(
+    kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
     events = Collector()
-
-    def quit_then(event: object) -> None:
-        quitting.quit_with(kind)
-
     with robot_of("answered", "same", NO_KIND, "") as robot:
-        robot.listen(quit_then)
+        robot.listen(Quits(kind))
         robot.listen(events.deliver)
         for _ in range(2):
             robot.request("ticks").kill()
         events.wait_for(lambda item: (item.subject, item.change) == ("connection c2", "closed"))
+        assert "listener Quits failed at event" in caplog.text
+
+
+@every_kind
+def test_a_callback_without_a_name_is_named_by_its_class(kind: str) -> None:
+    with (
+        robot_of("answered", "same", NO_KIND, "") as robot,
+        robot.request("ticks", on_message=Quits(kind)) as connection,
+    ):
+        wait(lambda: bool(connection.routes()[0].last_error))
+        assert f"Quits raised {KINDS[kind]}" in connection.routes()[0].last_error
 
 
 @pytest.mark.parametrize("host", ["", HOSTED], ids=["here", "hosted"])

@@ -10,7 +10,7 @@ from queue import Empty
 from typing import Any, Generic, TypeVar
 
 from uoarm._interrupts import wait_until
-from uoarm._raised import LimitedLog, contained, text_of
+from uoarm._raised import LimitedLog, contained, name_of, text_of
 from uoarm.errors import UsageError
 from uoarm.model import Deliver, Message, OverflowPolicy, QueuePolicy, message_octets
 
@@ -305,10 +305,6 @@ class Inbox:
         return True
 
     def _complain(self, callback: Deliver, error: Exception) -> None:
-        text = f"its callback {_name(callback)} raised {text_of(error)}"
+        text = f"its callback {name_of(callback)} raised {text_of(error)}"
         self._records.write(logging.ERROR, text, error)
         self._on_raised(text)
-
-
-def _name(callback: Deliver) -> str:
-    return getattr(callback, "__qualname__", None) or type(callback).__qualname__

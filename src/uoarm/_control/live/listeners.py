@@ -8,8 +8,7 @@ from collections.abc import Callable
 from queue import SimpleQueue
 
 from uoarm._dataplane import Clock
-from uoarm._encodable import shown
-from uoarm._raised import LimitedLog, foreign
+from uoarm._raised import LimitedLog, foreign, name_of
 from uoarm._support.ordered import keep_newest
 from uoarm.model import StatusEvent
 
@@ -130,7 +129,7 @@ class EventDispatcher:
             try:
                 foreign(listener, event)
             except Exception as error:  # noqa: BLE001 - a listener may raise anything
-                text = f"listener {shown(listener)} failed at event {event.number}"
+                text = f"listener {name_of(listener)} failed at event {event.number}"
                 self._failures.write(logging.ERROR, text, error)
 
 
