@@ -20,6 +20,7 @@ from typing import Any
 import click
 import jsonschema
 import pytest
+import yaml
 from attrs import frozen
 from tests.processes import run_python
 
@@ -27,6 +28,7 @@ from uoarm import AsyncRobotManager, Connection, RobotManager
 from uoarm.bridge import BridgeOptions, options_table
 from uoarm.cli import main
 from uoarm.client import RemoteRobot
+from uoarm.config import published_schema
 from uoarm.local import PythonOptions
 from uoarm.record.plugin import PlaybackOptions
 from uoarm.server.front_end import Backend, Client, Feed
@@ -397,6 +399,24 @@ def test_messages_of_the_protocol_are_as_its_schema_says() -> None:
         jsonschema.validate(message, {**schema, "$ref": f"#/$defs/{side}.{message['op']}"})
         # As the page asks of clients.
         assert side == "server" or list(message)[-1] == "id", line
+
+
+def test_configurations_and_parts_of_them_are_as_the_schema_says() -> None:
+    schema = {**published_schema(), "required": []}
+    parts = [
+        (block, data)
+        for block in EVERY
+        if block.language == "yaml" and isinstance(data := yaml.safe_load(block.text), dict)
+        if set(data) <= set(schema["properties"])
+    ]
+    assert len(parts) > 30
+    validator = jsonschema.Draft202012Validator(schema)
+    wrong = [
+        (str(block), error.message)
+        for block, data in parts
+        for error in validator.iter_errors(data)
+    ]
+    assert not wrong
 
 
 def test_every_variable_that_is_read_is_on_a_page() -> None:
