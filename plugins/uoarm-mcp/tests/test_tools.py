@@ -295,6 +295,12 @@ def test_one_agent_does_not_take_the_sessions_of_all(
     wait(lambda: post(agents).status_code == 200, "a session whose client has gone makes room")
 
 
+def test_a_stream_that_is_asked_for_from_an_event_on_begins_anew(agents: Agents) -> None:
+    asked = HEADERS | opened(agents) | {"last-event-id": "5"}
+    with httpx2.stream("GET", agents.url, headers=asked, timeout=patience()) as answer:
+        assert answer.status_code == 200
+
+
 def test_sessions_that_begin_together_have_room(
     agents: Agents, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,6 +46,7 @@ _PIECE_OCTETS = 65_536
 _WELL = 200
 _SESSION = MCP_SESSION_ID_HEADER.encode()
 _REVISION = MCP_PROTOCOL_VERSION_HEADER.encode()
+_LAST_EVENT = b"last-event-id"
 _WITH_SESSIONS = frozenset(revision.encode() for revision in HANDSHAKE_PROTOCOL_VERSIONS)
 
 _Scope = MutableMapping[str, Any]
@@ -213,7 +214,10 @@ class AdmittingApp:
         if scope["type"] != "http":
             return
         # The parser leaves the blanks at the end of a value, which are no part of it.
-        scope["headers"] = [(name, value.strip(b" \t")) for name, value in scope["headers"]]
+        # No event is kept: a stream begins anew, where the SDK would not answer at all.
+        scope["headers"] = [
+            (name, value.strip(b" \t")) for name, value in scope["headers"] if name != _LAST_EVENT
+        ]
         headers = [
             (name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]
         ]
