@@ -15,7 +15,7 @@ from uoarm_vda5050._health import Presence
 from uoarm_vda5050._messages import check_of
 from uoarm_vda5050._options import place_of
 from uoarm_vda5050._orders import Order
-from uoarm_vda5050._releases import RELEASES
+from uoarm_vda5050._releases import HEADER, RELEASES, body_of
 from uoarm_vda5050._transport_state import Action, GoalEnded, Phase, TransportState
 from uoarm_vda5050._vehicle_state import VehicleState
 
@@ -381,3 +381,12 @@ def test_states_that_cannot_be_read_count_against_what_is_read_from_them(broker:
 def test_a_serial_number_that_no_topic_has_is_refused(serial: str) -> None:
     with pytest.raises(ValueError, match="manufacturer or serial number is no level of a topic"):
         place_of((MAKER, serial, "state"), {})
+
+
+def test_what_is_missing_is_named_without_the_header_as_unknown() -> None:
+    check = check_of(body_of("instantActions", "3.0").schema, "instantActions")
+    with pytest.raises(MessageError) as refused:
+        check(dict.fromkeys(HEADER, "") | {"instantAction": []})
+    text = "instantActions: the message: the field 'actions' is missing"
+    assert str(refused.value).startswith(f'{text}; the field "instantAction" is unknown')
+    assert "headerId" not in str(refused.value)

@@ -182,6 +182,23 @@ def test_a_pause_holds_the_task_and_a_stale_task_is_refused(release: str) -> Non
     assert not made.reached(task)
 
 
+@BOTH
+def test_an_order_is_carried_out_in_semiautomatic_mode(release: str) -> None:
+    made = vehicle(release)
+    made.set_mode("SEMIAUTOMATIC")
+    assert made.order(order(release, "a", "b").body)
+    assert drive(made) == ["b"]
+
+
+def test_an_intervention_holds_the_order_until_the_vehicle_is_given_back() -> None:
+    made = vehicle("3.0")
+    made.order(order("3.0", "a", "b").body)
+    made.set_mode("INTERVENED")
+    assert made.task is None
+    made.set_mode("SEMIAUTOMATIC")
+    assert drive(made) == ["b"]
+
+
 def test_a_failed_action_ends_the_order() -> None:
     made = vehicle("2.1")
     made.order(order("2.1", "a", "b", a="pick", b="pick").body)

@@ -16,7 +16,7 @@ from uoarm_mqtt.connection import PayloadCodec
 
 from uoarm.bridge import message_check
 from uoarm.errors import ConfigurationError, MessageError
-from uoarm.model import Budget, Message, MessageStructure, Schema, read_json
+from uoarm.model import Budget, Message, MessageStructure, read_json
 from uoarm.plugins import expanded, read_octets
 from uoarm.schema import newest
 from uoarm_vda5050._releases import HEADER, TOPICS, VdaRelease, body_of
@@ -127,9 +127,11 @@ class VdaCodec(PayloadCodec):
         return f"version {str(version)[:20]!r}, while the bridge's `release` is {self.release.name}"
 
 
-def check_of(schema: Schema, topic: str) -> Check:
-    """Return what holds messages against a schema of the standard, or of the user."""
-    return message_check(MessageStructure(schema), topic)
+def check_of(schema: Any, topic: str) -> Check:
+    """Return what holds whole messages against a schema of the standard, or of the user."""
+    # The plugin's own have no header, which would be called unknown beside what is missing.
+    properties = {**dict.fromkeys(HEADER, True), **schema["properties"]}
+    return message_check(MessageStructure({**schema, "properties": properties}), topic)
 
 
 _MOST_OCTETS = 1 << 20

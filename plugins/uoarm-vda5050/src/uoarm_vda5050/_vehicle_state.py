@@ -114,7 +114,7 @@ class VehicleState:
     @property
     def task(self) -> Task | None:
         """What is to be done now; None: stand still."""
-        if self.paused or self._cancelling or self.mode != "AUTOMATIC":
+        if self.paused or self._cancelling or self.mode not in {"AUTOMATIC", "SEMIAUTOMATIC"}:
             return None
         if self._waiting:
             action = self._waiting[0]
