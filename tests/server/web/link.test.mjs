@@ -117,6 +117,37 @@ test("giving back what has just ended at the server is no failure", async () => 
   robot.close();
 });
 
+test("a limit that no timer can have is none", async (context) => {
+  context.mock.timers.enable({ apis: ["setTimeout"] });
+  const connecting = connect("ws://x/", { WebSocket: Socket, timeout: Infinity });
+  const socket = Socket.made.at(-1);
+  context.mock.timers.tick(60_000);
+  assert.equal(socket.closed, false);
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  robot.call("add", 1, { timeout: Infinity }).catch(() => {});
+  assert.deepEqual(socket.sent.at(-1), { op: "Call", type: "add", id: "1", jsonMessage: 1 });
+  robot.close();
+});
+
+test("a command with a period that no timer can have is sent once", async (context) => {
+  context.mock.timers.enable({ apis: ["setTimeout"] });
+  const connecting = connect("ws://x/", { WebSocket: Socket });
+  const socket = Socket.made.at(-1);
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  const opening = robot.request("drive");
+  const opened = { connection: "c1", inputs: ["default"], warnings: [] };
+  socket.deliver({ op: "Reply", id: "1", jsonMessage: opened });
+  (await opening).hold(1, { period: Infinity });
+  socket.deliver({ op: "Reply", id: "2", jsonMessage: {} });
+  await new Promise(setImmediate);
+  context.mock.timers.tick(60_000);
+  await new Promise(setImmediate);
+  assert.equal(socket.sent.filter(({ op }) => op === "Data").length, 1);
+  robot.close();
+});
+
 test("numbers and octets that JSON has no form for are written as the protocol says", async () => {
   const connecting = connect("ws://x/", { WebSocket: Socket });
   const socket = Socket.made.at(-1);

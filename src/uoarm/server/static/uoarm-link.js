@@ -9,6 +9,7 @@ const LOOK = 5000;
 const MOST_SILENCE = 6; // looks without a message, after which the connection is given up
 const MOST_WAITING = 4096;
 const LONGEST_KEPT = 3600; // seconds for which a server is believed to keep a session
+const LONGEST_TIMER = 2 ** 31 - 1; // of more milliseconds it ends at once
 const FIRST_PAUSE = 50;
 const LONGEST_PAUSE = 5000;
 // Closed for what this client did or may not do: it would be so again.
@@ -19,6 +20,9 @@ const REFUSED =
 
 /** Seconds of a clock that is never set: when a message was sent, by which the server knows its age. */
 export const seconds = () => performance.now() / 1000;
+
+/** Calls a function after so many seconds, which may be infinite. */
+export const later = (act, seconds) => setTimeout(act, Math.min(seconds * 1000, LONGEST_TIMER));
 
 /** What the server refused, or why the connection ended; `code` is that of the protocol. */
 export class UoarmError extends Error {
@@ -215,8 +219,7 @@ export class Link {
         socket.close();
         reject(error);
       };
-      const late = setTimeout(
-        () => fail(new UoarmError("closed", `no answer within ${timeout} s`)), timeout * 1000);
+      const late = later(() => fail(new UoarmError("closed", `no answer within ${timeout} s`)), timeout);
       const greeted = () => {
         state = "greeted";
         clearTimeout(late);

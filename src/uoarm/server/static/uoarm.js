@@ -1,12 +1,11 @@
 // A client of `uoarm serve` for browsers and Node, without dependencies. Types: uoarm.d.ts.
 import { decode, encode } from "./uoarm-cbor.js";
-import { Link, UoarmError, checked, errorOf, seconds } from "./uoarm-link.js";
+import { Link, UoarmError, checked, errorOf, later, seconds } from "./uoarm-link.js";
 
 export { UoarmError };
 
 const HELD = 1024;
 const DIAGNOSIS_SECONDS = 1;
-const LONGEST_TIMER = 2 ** 31 - 1; // of more milliseconds it ends at once
 const NO_SOCKET =
   "there is no WebSocket here: Node.js has it from version 22 on, from 20.10 on with " +
   "--experimental-websocket; or give connect a class, { WebSocket }";
@@ -65,10 +64,10 @@ class Mailbox {
 
   #limit(reader, timeout) {
     const { resolve, reject } = reader;
-    const timer = setTimeout(() => {
+    const timer = later(() => {
       this.#readers.splice(this.#readers.indexOf(reader), 1);
       resolve();
-    }, Math.min(timeout * 1000, LONGEST_TIMER));
+    }, timeout);
     reader.resolve = (item) => {
       clearTimeout(timer);
       resolve(item);
@@ -112,7 +111,7 @@ export class HeldCommand {
   /** One message is under way at a time, so that a link that was down never brings up many. */
   async #renew(period, send) {
     while (!this.#over) {
-      const due = performance.now() + period * 1000;
+      const due = seconds() + period;
       try {
         await send(this.message);
       } catch (error) {
@@ -123,7 +122,7 @@ export class HeldCommand {
       if (this.#over) break;
       await new Promise((wake) => {
         this.#wake = wake;
-        setTimeout(wake, Math.max(0, due - performance.now()));
+        later(wake, due - seconds());
       });
     }
     await this.stopped;
@@ -446,7 +445,8 @@ export class Robot {
 
   /** Call a service; `timeout` in seconds. */
   async call(name, message, { timeout } = {}) {
-    const limit = timeout === undefined ? {} : { "x-timeout": timeout };
+    // Without a limit the server's own holds; JSON has no form for an infinite one.
+    const limit = timeout === undefined || timeout === Infinity ? {} : { "x-timeout": timeout };
     return this.#ask({ op: "Call", type: name, jsonMessage: message, ...limit });
   }
 
@@ -568,7 +568,7 @@ export class Robot {
       this.#link.send({ ...fields, id });
       const given = fields["x-timeout"] ?? (fields.op === "Request" ? fields.jsonMessage?.wait : 0) ?? 0;
       const seconds = this.#answer + given;
-      const timer = setTimeout(() => this.#giveUp(id, seconds), Math.min(seconds * 1000, LONGEST_TIMER));
+      const timer = later(() => this.#giveUp(id, seconds), seconds);
       this.#asked.set(id, { fields, stream, timer, resolve, reject });
     });
   }
