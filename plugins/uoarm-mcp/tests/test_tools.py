@@ -301,6 +301,13 @@ def test_a_stream_that_is_asked_for_from_an_event_on_begins_anew(agents: Agents)
         assert answer.status_code == 200
 
 
+@pytest.mark.parametrize("identity", [None, 1.5, True, {}])
+def test_a_request_whose_id_has_no_answer_is_refused(agents: Agents, identity: object) -> None:
+    ping = {"jsonrpc": "2.0", "id": identity, "method": "ping"}
+    refused = post(agents, ping, **opened(agents))
+    assert (refused.status_code, refused.text) == (400, "an id is a string or a whole number\n")
+
+
 def test_sessions_that_begin_together_have_room(
     agents: Agents, monkeypatch: pytest.MonkeyPatch
 ) -> None:

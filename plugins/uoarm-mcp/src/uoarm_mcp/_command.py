@@ -24,7 +24,6 @@ from mcp.server.stdio import stdio_server
 from mcp_types import (
     INVALID_REQUEST,
     PARSE_ERROR,
-    JSONRPCNotification,
     jsonrpc_message_adapter,
 )
 from pydantic import ValidationError
@@ -35,6 +34,7 @@ from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.plugins import Command, CommandParser, hookimpl
 from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run
 from uoarm.server.front_end import Discoveries, RefusedError
+from uoarm_mcp._schemas import WRONG_ID, has_wrong_id
 from uoarm_mcp._service import AgentService
 
 _REFUSED = 1
@@ -257,7 +257,7 @@ class _InputLines:
         """Return the answer to what is no message, None where it is one."""
         try:
             scan_json(line, BudgetUse(self._budget))
-            message = jsonrpc_message_adapter.validate_json(line, by_name=False)
+            jsonrpc_message_adapter.validate_json(line, by_name=False)
         except ControlMessageError as refused:
             code, text = INVALID_REQUEST, str(refused)
         except ValidationError as refused:
@@ -265,10 +265,9 @@ class _InputLines:
             code = INVALID_REQUEST if is_json else PARSE_ERROR
             text = f"expected one message of JSON-RPC in a line of {_LINE_OCTETS:,} octets at most"
         else:
-            if not isinstance(message, JSONRPCNotification) or "id" not in orjson.loads(line):
+            if not has_wrong_id(line):
                 return None
-            # Read as a notification, it would have no answer.
-            code, text = INVALID_REQUEST, "an id is a string or a whole number"
+            code, text = INVALID_REQUEST, WRONG_ID
         return {"jsonrpc": "2.0", "id": None, "error": {"code": code, "message": text}}
 
     def _read(self) -> None:

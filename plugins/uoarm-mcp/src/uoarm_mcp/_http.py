@@ -32,6 +32,7 @@ from uoarm.server.front_end import (
     StatelessClient,
     coded_text,
 )
+from uoarm_mcp._schemas import WRONG_ID, has_wrong_id
 from uoarm_mcp._service import CLIENT, AgentService
 
 PATH = "/mcp"
@@ -249,8 +250,9 @@ class AdmittingApp:
         spending = BudgetUse(budget)
         try:
             body = await asyncio.wait_for(_body(receive, most, held), limits.message_seconds)
-            if body:
-                scan_json(body.decode(), spending)
+            text = (body or b"").decode()
+            if text:
+                scan_json(text, spending)
         except asyncio.TimeoutError:
             await _answer(send, 408, f"the request took more than {limits.message_seconds:g} s")
             return
@@ -264,6 +266,9 @@ class AdmittingApp:
             await _answer(send, 400, "the request is not UTF-8")
             return
         if body is None:
+            return
+        if has_wrong_id(text):
+            await _answer(send, 400, WRONG_ID)
             return
         await client.pace(len(body), spending.elements)
         headers = dict(scope["headers"])

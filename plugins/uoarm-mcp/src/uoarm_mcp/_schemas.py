@@ -285,6 +285,22 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else list(value)
 
 
+WRONG_ID = "an id is a string or a whole number"
+
+
+def has_wrong_id(text: str) -> bool:
+    """Say whether a request has an id that none may have.
+
+    The SDK reads it as a notification, and its client would wait for an answer.
+    """
+    try:
+        message = orjson.loads(text)
+    except orjson.JSONDecodeError:
+        return False
+    is_request = isinstance(message, dict) and message.keys() >= {"id", "method"}
+    return is_request and type(message["id"]) not in {str, int}
+
+
 def check_schema(validator: Draft202012Validator, arguments: Mapping[str, Any]) -> None:
     """Refuse arguments that do not fit; raises MessageError with the field."""
     problem = best_match(validator.iter_errors(arguments))
