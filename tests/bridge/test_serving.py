@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,6 +18,8 @@ from uoarm.testing import patience, wait
 
 class Function:
     """Handles numbers; odd ones fail, and each waits until it may end."""
+
+    kind: type[BaseException] = ValueError
 
     def __init__(self, at_once: int, most: int = 256, *, is_open: bool = True) -> None:
         self.answered: list[int] = []
@@ -46,7 +49,7 @@ class Function:
         with self._lock:
             self._inside -= 1
         if request % 2:
-            raise ValueError(f"{request} is odd")
+            raise self.kind(f"{request} is odd")
         self.answered.append(request)
 
     def wait_begun(self, count: int) -> None:
@@ -90,16 +93,21 @@ def test_what_finds_no_room_is_refused_and_the_framework_does_not_wait() -> None
         assert served.requests.facts()["refused"] == 1
 
 
-def test_one_that_fails_is_refused_and_reported_until_one_succeeds() -> None:
+@pytest.mark.parametrize("kind", [ValueError, SystemExit])
+def test_one_that_fails_is_refused_and_reported_until_one_succeeds(
+    kind: type[BaseException],
+) -> None:
     with function(1) as served:
+        served.kind = kind
         for number in (1, 3, 4):
             served.requests.put(number)
         wait(lambda: served.requests.facts()["answered"] == 1)
         wait(lambda: len(served.reports) == 2)
-        assert served.refused == [(1, "1 is odd"), (3, "3 is odd")]
+        assert [request for request, _ in served.refused] == [1, 3]
+        assert served.refused[0][1].endswith("1 is odd")
         assert served.requests.facts()["failed"] == 2
     assert served.reports == [
-        (Health.DEGRADED, "refused: service /a: ValueError: 1 is odd"),
+        (Health.DEGRADED, f"refused: service /a: {kind.__name__}: 1 is odd"),
         (Health.OK, "service /a: a message passed"),
     ]
 

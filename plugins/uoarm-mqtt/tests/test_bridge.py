@@ -82,6 +82,13 @@ def speak(bridge: Bridge, topic: str, **options: Any) -> Sink:
     return bridge.open_sink(endpoint(topic, Role.INPUT, **options), ANYTHING)
 
 
+class Quits(dict[str, int]):
+    """What ends whatever thread writes it."""
+
+    def items(self) -> Any:
+        raise SystemExit
+
+
 class TestTopics:
     """Wildcards, retained messages, shared subscriptions, contents."""
 
@@ -422,20 +429,21 @@ class TestServices:
         def answer(request: Any) -> Any:
             if request < 0:
                 raise ArithmeticError("of no negative number")
-            return request * 2
+            return request * 2 if request else Quits(a=1)
 
         channel = bridge.serve(endpoint("served/double", Role.SERVICE, share="pool"), answer)
         came = peer.collect("answers/mine")
-        for payload in (b"21", b"-1", b"{"):
+        for payload in (b"21", b"-1", b"{", b"0"):
             peer.publish(
                 "served/double", payload, ResponseTopic="answers/mine", CorrelationData=payload
             )
         peer.publish("served/double", b"1")
-        wait(lambda: len(came) == 3, "not answered", patience())
-        assert [item.properties.CorrelationData for item in came] == [b"21", b"-1", b"{"]
+        wait(lambda: len(came) == 4, "not answered", patience())
+        assert [item.properties.CorrelationData for item in came] == [b"21", b"-1", b"{", b"0"]
         assert came[0].payload == b"42"
         assert "of no negative number" in dict(came[1].properties.UserProperty)["error"]
         assert "MessageError" in dict(came[2].properties.UserProperty)["error"]
+        assert "SystemExit" in dict(came[3].properties.UserProperty)["error"]
         wait(lambda: channel.facts()["unanswerable"] == 1, f"{channel.facts()}", patience())
 
     @pytest.mark.parametrize("said", ["two\nlines", "nul\0", "del\x7f", "none\ufdd0", "\U0001ffff"])

@@ -81,6 +81,15 @@ def test_a_server_that_was_started_again_is_called_again(master: Master) -> None
         second.kill()
 
 
+class Quits(str):
+    """A text that ends whatever thread writes it."""
+
+    __slots__ = ()
+
+    def encode(self, *_: object) -> Any:
+        raise SystemExit
+
+
 def test_a_function_is_served_to_clients_of_ros(master: Master, lasting: Peer) -> None:
     calls: list[Any] = []
 
@@ -88,7 +97,7 @@ def test_a_function_is_served_to_clients_of_ros(master: Master, lasting: Peer) -
         calls.append(request)
         if not request["data"]:
             raise ValueError("it must be on")
-        return {"success": True, "message": "Kia ora"}
+        return {"success": True, "message": "Kia ora" if len(calls) == 1 else Quits("no")}
 
     with bridge_to(master) as bridge:
         served = bridge.serve(service("/served", SET), answer)
@@ -97,13 +106,15 @@ def test_a_function_is_served_to_clients_of_ros(master: Master, lasting: Peer) -
         assert reply == {"success": True, "message": "Kia ora"}
         failed = lasting.do("call", **ask, values={"data": False})
         assert "it must be on" in failed["error"]
+        unwritten = lasting.do("call", **ask, values={"data": True})
+        assert "SystemExit" in unwritten["error"]
         wrong = lasting.do("call", service="/served", type="std_srvs/Trigger", values={})
         assert "std_srvs/SetBool" in wrong["error"]
         assert served.facts()["refused"] == 1
         served.close()
         gone = lasting.do("call", **ask, values={"data": True})
         assert "error" in gone
-    assert calls == [{"data": True}, {"data": False}]
+    assert calls == [{"data": True}, {"data": False}, {"data": True}]
 
 
 def test_an_action_is_a_call(master: Master, lasting: Peer) -> None:

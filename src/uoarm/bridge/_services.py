@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 
 from attrs import define
 
-from uoarm._raised import text_of
+from uoarm._raised import foreign, text_of
 from uoarm.bridge._health import ChannelHealth, ChannelMonitor
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
@@ -235,7 +235,7 @@ class ServedRequests(Generic[T]):
                 request = self._waiting.popleft()
                 self._handled.append(request)
             try:
-                self._handle(request)
+                foreign(self._handle, request)
             except Exception as error:  # noqa: BLE001 - of the function: the client gets it
                 with self._lock:
                     self._failed += 1
@@ -250,6 +250,6 @@ class ServedRequests(Generic[T]):
     def _turn_away(self, request: T, error: Exception) -> None:
         self._monitor.refused(text_of(error))
         try:
-            self._refuse(request, error)
+            foreign(self._refuse, request, error)
         except Exception as another:  # noqa: BLE001 - the framework's; there is more to handle
             _log.warning("a client of %s could not be refused: %s", self._what, text_of(another))

@@ -9,7 +9,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.bridge import text_of
+from uoarm.bridge import foreign, text_of
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import (
     Budget,
@@ -67,8 +67,8 @@ class PayloadCodec:
             MessageError: it has none of this content, or too large a one.
         """
         try:
-            payload = self._encode(message)
-        except (TypeError, ValueError, RecursionError) as error:
+            payload = foreign(self._encode, message)
+        except Exception as error:  # of a value's own methods, say
             text = f"no content {self.content!r} of MQTT: {text_of(error)}"
             raise MessageError(text) from error
         if len(payload) > self.budget.octets:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 
-from uoarm.bridge import Channel, Handler, did_you_mean, text_of
+from uoarm.bridge import Channel, Handler, did_you_mean, foreign, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_ros1._definitions import RosService
@@ -351,7 +351,7 @@ class ServedService(Channel):
         try:
             with self._turns:
                 reply = self._handler(self._read(frame))
-            octets = self._write(reply)
+            octets = foreign(self._write, reply)
         except Exception as error:  # noqa: BLE001 - of the handler: the caller gets it
             self._failed += 1
             text = text_of(error).encode("utf-8", "replace")

@@ -258,7 +258,8 @@ def _method(operation: IdlOperation, handler: Handler) -> Callable[..., Any]:
     def method(servant: Any, *arguments: Any) -> Any:
         del servant
         try:
-            return operation.result(foreign(handler, operation.message(arguments)))
+            reply = foreign(handler, operation.message(arguments))
+            return foreign(operation.result, reply)
         except IdlError as error:
             raised = operation.exception(error.exception, error.members)
             if raised is not None:
