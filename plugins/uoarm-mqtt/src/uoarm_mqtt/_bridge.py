@@ -120,6 +120,7 @@ class MqttBridge(Bridge):
 
     def _close(self) -> None:
         self._broker.close()
+        self._calls.close()
 
     def _options_of(self, endpoint: Endpoint) -> TopicOptions:
         with reading_endpoint(endpoint):

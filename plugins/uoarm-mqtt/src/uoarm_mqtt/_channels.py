@@ -321,6 +321,11 @@ class ServiceCalls:
             text = f"{endpoint}: the reply cannot be read: {error}"
             raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
 
+    def close(self) -> None:
+        """End the calls that wait for a reply; the connection is closed, so none begins."""
+        for call in tuple(self._waiting.values()):
+            call.end(None, "the bridge was closed")
+
     def _refused(self, _: str) -> None:
         """Have the next call subscribe again: it says why no reply can come."""
         self._is_open = False
