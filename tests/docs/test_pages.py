@@ -127,6 +127,13 @@ def anchors(page: Path) -> set[str]:
     return names
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_no_line_stands_twice_on_a_page(page: Path) -> None:
+    lines = _without_code(page.read_text("utf-8")).splitlines()
+    times = Counter(line for line in lines if len(line) > 25 and not line.startswith("|"))
+    assert not [line for line, count in times.items() if count > 1]
+
+
 def test_a_link_to_nothing_is_found(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("# One page\n\n## `new-bridge`: a *name*\n\n## Twice\n\n## Twice\n", "utf-8")
