@@ -31,6 +31,9 @@ class Follower:
 
 def vague(message):
     return message
+
+def quits(message: "exit(1)") -> int:
+    return 1
 """
 
 
@@ -78,15 +81,17 @@ def test_what_is_listed_is_shown_with_its_structures(folder: str) -> None:
 
 
 def test_what_cannot_be_used_is_shown_with_the_cause_and_spoils_nothing(folder: str) -> None:
-    broken, unfit, vague, double = shown(
+    broken, unfit, vague, quits, double = shown(
         folder,
         "listed_broken:camera",
         {"component": "listed_parts:Finder", "parameters": {"size": "large"}},
         "listed_parts:vague",
+        "listed_parts:quits",
         "listed_parts:double",
     )
-    assert broken.endpoints == unfit.endpoints == ()
+    assert broken.endpoints == unfit.endpoints == quits.endpoints == ()
     assert "no camera is plugged in" in broken.detail
     assert "parameter 'size'" in unfit.detail
+    assert quits.detail == "cannot be used: SystemExit: 1"
     assert set(ports(vague).values()) == {None}
     assert ports(double)[Role.OUTPUT, "default"] == "integer"

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from attrs import define, field, frozen
 
-from uoarm._raised import LimitedLog, foreign, on_failure, text_of
+from uoarm._raised import LimitedLog, contained, foreign, on_failure, sentence_of, text_of
 from uoarm._support.workers import WorkerPool
 from uoarm.bridge import (
     Bridge,
@@ -81,9 +81,8 @@ def listed(
                 for role, port in _ports(target, parameters)
             ]
             ports = tuple((end, _described(target, end)) for end in ends)
-        except Exception as error:  # noqa: BLE001 - importing a module may raise anything
-            cause = str(error) if isinstance(error, BridgeError) else repr(error)
-            yield Discovered(name, (), f"cannot be used: {cause}")
+        except BaseException as error:  # noqa: BLE001 - a module, or its hints, may raise anything
+            yield Discovered(name, (), f"cannot be used: {sentence_of(contained(error))}")
             continue
         yield Discovered(name, ports, address[0])
 
