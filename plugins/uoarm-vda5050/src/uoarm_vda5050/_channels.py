@@ -88,9 +88,11 @@ class VehicleFollower:
             self._link.subscribe(self._receiver)
 
     def close(self) -> None:
-        """Follow no more; nothing is sent."""
+        """Follow no more; nothing is sent, and a goal that is under way is lost."""
         self._link.unsubscribe(self._receiver)
         self._inbox.close()
+        with self._lock:
+            self._do(self._transport.connection(False, "the bridge was closed"))
 
     def connection(self, online: bool, why: str) -> None:  # noqa: FBT001
         """Take the news that it came or went; returns at once."""
