@@ -119,6 +119,8 @@ class ClientSocket(ClientConnection):
                 close_timeout=_GOODBYE_SECONDS,
                 **secured,
             )
+        except OSError:  # also a certificate that is not trusted, which is a ValueError, too
+            raise
         except (InvalidURI, ValueError) as error:
             if where := redirection(error, url):  # as for a path without the slash at its end
                 raise InvalidHandshake(where) from error
