@@ -17,7 +17,7 @@ from agents import TOKENS, Agents, text_of
 from components import script
 from mcp.server.session import ServerSession
 from mcp.shared.exceptions import MCPError
-from uoarm_mcp import _http
+from uoarm_mcp import _actions, _http
 from uoarm_mcp._streams import AgentStreams
 
 from uoarm import RobotManager
@@ -305,7 +305,28 @@ def test_a_stream_that_is_asked_for_from_an_event_on_begins_anew(agents: Agents)
 def test_a_request_whose_id_has_no_answer_is_refused(agents: Agents, identity: object) -> None:
     ping = {"jsonrpc": "2.0", "id": identity, "method": "ping"}
     refused = post(agents, ping, **opened(agents))
-    assert (refused.status_code, refused.text) == (400, "an id is a string or a whole number\n")
+    assert refused.status_code == 400
+    assert refused.text == "an id is a string or a whole number (UOA-502)\n"
+
+
+def test_an_id_of_a_request_under_way_is_refused_in_its_session(
+    agents: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_actions, "_AT_ONCE_SECONDS", patience())  # slow ends once it is let go
+    session, other = opened(agents), opened(agents)
+    ping = {"jsonrpc": "2.0", "id": "7", "method": "ping"}
+    parameters = {"name": "slow", "arguments": {"value": 1}}
+    slow = {"jsonrpc": "2.0", "id": 7, "method": "tools/call", "params": parameters}
+    with ThreadPoolExecutor(1) as executor:
+        answer = executor.submit(post, agents, slow, **session)
+        wait(lambda: script.came, "it is under way")
+        refused = post(agents, ping, **session)
+        assert refused.text == "the id '7' is that of a request under way\n"
+        assert refused.status_code == 400
+        assert post(agents, ping, **other).status_code == 200
+        script.gate.set()
+        assert answer.result(patience()).status_code == 200
+    assert post(agents, ping, **session).status_code == 200
 
 
 def test_sessions_that_begin_together_have_room(

@@ -34,7 +34,7 @@ from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.plugins import Command, CommandParser, hookimpl
 from uoarm.server import Limits, Server, ServerOptions, fingerprint_of, run
 from uoarm.server.front_end import Discoveries, RefusedError
-from uoarm_mcp._schemas import WRONG_ID, has_wrong_id
+from uoarm_mcp._schemas import id_of
 from uoarm_mcp._service import AgentService
 
 _REFUSED = 1
@@ -258,6 +258,7 @@ class _InputLines:
         try:
             scan_json(line, BudgetUse(self._budget))
             jsonrpc_message_adapter.validate_json(line, by_name=False)
+            id_of(line)
         except ControlMessageError as refused:
             code, text = INVALID_REQUEST, str(refused)
         except ValidationError as refused:
@@ -265,9 +266,7 @@ class _InputLines:
             code = INVALID_REQUEST if is_json else PARSE_ERROR
             text = f"expected one message of JSON-RPC in a line of {_LINE_OCTETS:,} octets at most"
         else:
-            if not has_wrong_id(line):
-                return None
-            code, text = INVALID_REQUEST, WRONG_ID
+            return None
         return {"jsonrpc": "2.0", "id": None, "error": {"code": code, "message": text}}
 
     def _read(self) -> None:

@@ -32,7 +32,7 @@ from uoarm.server.front_end import (
     StatelessClient,
     coded_text,
 )
-from uoarm_mcp._schemas import WRONG_ID, has_wrong_id
+from uoarm_mcp._schemas import id_of
 from uoarm_mcp._service import CLIENT, AgentService
 
 PATH = "/mcp"
@@ -45,6 +45,7 @@ _HEAD_OCTETS = 65_536
 _MOST_AHEAD = 16
 _PIECE_OCTETS = 65_536
 _WELL = 200
+_SHOWN = 200
 _SESSION = MCP_SESSION_ID_HEADER.encode()
 _REVISION = MCP_PROTOCOL_VERSION_HEADER.encode()
 _LAST_EVENT = b"last-event-id"
@@ -209,6 +210,8 @@ class AdmittingApp:
         self._service = service
         self._sessions = sessions
         self._under_way: dict[StatelessClient, set[asyncio.Task[Any]]] = {}
+        # Requests of sessions, by client, session and id.
+        self._asked: set[tuple[StatelessClient, bytes | None, str]] = set()
 
     async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
         """Answer one request."""
@@ -267,14 +270,25 @@ class AdmittingApp:
             return
         if body is None:
             return
-        if has_wrong_id(text):
-            await _answer(send, 400, WRONG_ID)
+        try:
+            identity = id_of(text)
+        except ControlMessageError as error:
+            await _answer(send, 400, coded_text(error))
             return
         await client.pace(len(body), spending.elements)
         headers = dict(scope["headers"])
         if headers.get(b"mcp-method") == b"tools/call":
             await self._service.prepare(client, headers.get(b"mcp-name", b"").decode("latin-1"))
-        await self._run(client, scope, body, receive, send)
+        asked = client, headers.get(_SESSION), identity
+        if asked in self._asked:  # the SDK would answer one of the two only
+            await _answer(send, 400, f"the id {identity[:_SHOWN]!r} is that of a request under way")
+            return
+        if identity and _SESSION in headers:
+            self._asked.add(asked)
+        try:
+            await self._run(client, scope, body, receive, send)
+        finally:
+            self._asked.discard(asked)
 
     async def _run(
         self,

@@ -11,7 +11,7 @@ import orjson
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import best_match
 
-from uoarm.errors import MessageError
+from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm.schema import change_parts, enclose
 from uoarm.server.front_end import TEXT_FORM
@@ -285,20 +285,22 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else list(value)
 
 
-WRONG_ID = "an id is a string or a whole number"
+def id_of(text: str) -> str:
+    """Return the id of a request; empty: it is no request.
 
-
-def has_wrong_id(text: str) -> bool:
-    """Say whether a request has an id that none may have.
-
-    The SDK reads it as a notification, and its client would wait for an answer.
+    Raises:
+        ControlMessageError: it is none that a request may have. The SDK reads that as a
+            notification, and its client would wait for an answer.
     """
     try:
         message = orjson.loads(text)
     except orjson.JSONDecodeError:
-        return False
-    is_request = isinstance(message, dict) and message.keys() >= {"id", "method"}
-    return is_request and type(message["id"]) not in {str, int}
+        return ""
+    if not isinstance(message, dict) or not message.keys() >= {"id", "method"}:
+        return ""
+    if type(message["id"]) not in {str, int}:
+        raise ControlMessageError("an id is a string or a whole number")
+    return str(message["id"])
 
 
 def check_schema(validator: Draft202012Validator, arguments: Mapping[str, Any]) -> None:
