@@ -241,6 +241,17 @@ test("a server that sends what is no message is left, with the reason", async ()
   }
 });
 
+test("a frame of the other kind is named as such", async () => {
+  for (const [binary, data, text] of [
+    [false, new ArrayBuffer(2), /what is no message: a binary frame: expected text$/],
+    [true, "{}", /what is no message: a text frame: expected binary$/],
+  ]) {
+    const refused = connect("ws://x/", { WebSocket: Socket, binary });
+    Socket.made.at(-1).onmessage({ data });
+    await assert.rejects(refused, text);
+  }
+});
+
 test("of a function that is silent it is said what keeps messages from coming", async () => {
   const connecting = connect("ws://x/", { WebSocket: Socket });
   const socket = Socket.made.at(-1);

@@ -237,6 +237,8 @@ export class Link {
       socket.onmessage = ({ data }) => {
         this.#silence = 0;
         try {
+          const frame = typeof data === "string" ? "text" : "binary";
+          if (frame !== this.#form.frame) throw new Error(`a ${frame} frame: expected ${this.#form.frame}`);
           receive(checked(this.#form.read(data), "object", "a message"));
         } catch (error) {
           const strange = new UoarmError("unreadable", `${this.#place} sent what is no message: ${error.message}`);

@@ -12,8 +12,10 @@ const NO_SOCKET =
 const TOKEN = /^[\w!#$%&'*+.^`|~-]+$/; // what a subprotocol's name may have
 const NO_TOKEN = "token: expected what `uoarm token` prints: no spaces, no line breaks";
 const FORMS = {
-  json: { protocol: "uoarm.v1.json", read: JSON.parse, write: (it) => JSON.stringify(it, inJson) },
-  cbor: { protocol: "uoarm.v1.cbor", read: decode, write: encode },
+  json: {
+    protocol: "uoarm.v1.json", frame: "text", read: JSON.parse, write: (it) => JSON.stringify(it, inJson),
+  },
+  cbor: { protocol: "uoarm.v1.cbor", frame: "binary", read: decode, write: encode },
 };
 
 /** What JSON has no form for, as the protocol writes it: JSON.stringify makes null of NaN. */
