@@ -90,6 +90,20 @@ class Quits(str):
         raise SystemExit
 
 
+def test_a_call_that_waits_for_its_reply_ends_as_the_bridge_closes(master: Master) -> None:
+    peer = master.peer("slow")
+    peer.do("serve", service="/slow", type=SET, how="silent")
+    with bridge_to(master) as bridge:
+        at = service("/slow")
+        call = Background(lambda: bridge.call(at, {"data": True}, timeout=2 * patience()))
+        calls: Any = bridge
+        wait(lambda: any(way.cancel for way in tuple(calls._pending_calls._calls)))
+        bridge.close(timeout=patience())
+        with pytest.raises(BridgeError, match="the call was cancelled"):
+            call.result()
+    peer.kill()
+
+
 def test_a_function_is_served_to_clients_of_ros(master: Master, lasting: Peer) -> None:
     calls: list[Any] = []
 

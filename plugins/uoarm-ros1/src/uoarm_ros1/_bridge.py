@@ -323,9 +323,7 @@ class Ros1Bridge(Bridge):
         if caller is None:
             caller = self._new_caller(endpoint, name, address, port)
         try:
-            if isinstance(caller, ActionCaller):
-                return caller.call(endpoint, message, timeout, self.cancelling)
-            return caller.call(endpoint, message, timeout)
+            return caller.call(endpoint, message, timeout, self.cancelling)
         except BridgeError as error:
             if error.reason is FailureReason.UNAVAILABLE:  # another may serve it by then
                 self._forget_caller(name, address.type, caller)

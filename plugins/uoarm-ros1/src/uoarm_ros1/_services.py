@@ -7,7 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 
 from uoarm.bridge import Channel, Handler, did_you_mean, foreign, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
@@ -120,25 +120,52 @@ class Caller:
         self._idle: list[socket.socket] = []
         self._is_closed = False
 
-    def call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+    def call(
+        self,
+        endpoint: Endpoint,
+        message: Message,
+        timeout: float,
+        cancelling: Callable[[Callable[[], object]], AbstractContextManager[None]],
+    ) -> Message:
         """Send a request and return the reply to it; a request is sent once.
 
+        A call that is cancelled ends; what its server does goes on.
+
         Raises:
-            BridgeError: no node serves it, the service failed, or its server is gone.
+            BridgeError: no node serves it, the service failed, its server is gone, or the call was
+                cancelled.
             BridgeTimeoutError: no reply within `timeout` seconds.
             MessageError: the request does not fit its type.
         """
         deadline = time.monotonic() + timeout
         request = self._write(message)
         connection = self._take() or self._connect(endpoint, deadline)
+        is_cancelled = is_over = False
+
+        def cancel() -> bool:
+            nonlocal is_cancelled
+            with self._lock:  # later, the connection may be another call's
+                if not is_over:
+                    is_cancelled = True
+                    with suppress(OSError):
+                        connection.shutdown(socket.SHUT_RDWR)
+            return False  # the server cannot be notified
+
         try:
-            succeeded, reply = self._exchange(connection, request, deadline)
+            with cancelling(cancel):
+                try:
+                    succeeded, reply = self._exchange(connection, request, deadline)
+                finally:
+                    with self._lock:
+                        is_over = True
         except TimeoutError:
             connection.close()
             text = f"{endpoint}: no reply within {timeout:g} s"
             raise BridgeTimeoutError(text) from None
         except (OSError, ProtocolError) as error:
             connection.close()
+            if is_cancelled:
+                raise BridgeError(f"{endpoint}: the call was cancelled") from None
             text = f"{endpoint}: the server ended the connection before it replied: {error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         self._give_back(connection)
