@@ -81,6 +81,29 @@ def test_a_served_robot_is_ready_alive_and_stopping(tmp_path: Path, manager: Man
         process.communicate()
 
 
+def test_what_is_written_to_the_audit_file_is_no_warning(tmp_path: Path) -> None:
+    file, audit = tmp_path / "robot.yaml", tmp_path / "audit.jsonl"
+    file.write_text(CONFIGURATION, encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "uoarm", "serve", file, "--port", "0", "--audit", audit],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(tmp_path / "state")},
+    )
+    try:
+        assert process.stdout is not None
+        assert "serving" in process.stdout.readline()
+        process.send_signal(signal.SIGUSR1)
+        wait(lambda: '"SIGUSR1"' in audit.read_text(encoding="utf-8"))
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate(timeout=patience())
+    finally:
+        process.kill()
+        process.communicate()
+    assert "INFO" not in errors
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has abstract addresses")
 def test_an_abstract_address_is_reached() -> None:
     name = f"uoarm-{os.getpid()}-{os.urandom(4).hex()}"

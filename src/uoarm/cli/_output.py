@@ -153,6 +153,8 @@ class _Log:
 
     def __init__(self) -> None:
         self.handler = StderrHandler()
+        self.handler.addFilter(self._is_asked_for)
+        self._asked = {_OURS: logging.WARNING}
         self._former: dict[str, int] = {}
         self._is_chosen = False
         self.take("text")
@@ -186,7 +188,18 @@ class _Log:
     def _set(self, name: str, level: int) -> None:
         logger = logging.getLogger(name)
         self._former.setdefault(name, logger.level)
+        self._asked[name] = level
         logger.setLevel(level)
+
+    def _is_asked_for(self, record: logging.LogRecord) -> bool:
+        """Say whether a record is of a level that was asked for, or of a logger of others.
+
+        A file of the audit log has its logger make records that nothing else wants.
+        """
+        name = record.name
+        while name and name not in self._asked:
+            name = name.rpartition(".")[0]
+        return not name or record.levelno >= self._asked[name]
 
 
 def _checked_level(given: str) -> str:
