@@ -11,7 +11,7 @@ import functools
 import json
 from collections.abc import Callable
 
-from uoarm.errors import ControlMessageError, UoarmError
+from uoarm.errors import ControlMessageError, MessageError, UoarmError
 from uoarm.model import BudgetUse
 from uoarm.server.front_end import (
     TEXT_FORM,
@@ -52,7 +52,7 @@ class Lines:
         self._subscription = Subscription(
             client,
             MessageForm("lines", _write, text=True),
-            on_refused=self._fail,
+            on_refused=self._refuse,
             on_end=self._ended,
         )
         self._tasks: set[asyncio.Task[None]] = set()
@@ -78,6 +78,10 @@ class Lines:
         if feed is not None:
             feed.remove(self._subscription)
             self._backend.leave(feed)
+
+    def _refuse(self, error: MessageError) -> None:
+        """Fail as the writing did, as a listener that raises where it must not."""
+        raise MISTAKES["raise" if "ValueError" in str(error) else "quit"]
 
     def _ended(self, state: str, cause: str) -> None:
         del cause
