@@ -28,7 +28,7 @@ def result(client: Ros) -> dict[str, Any]:
 
 def test_a_function_that_takes_goals_is_an_action(enter: Enter, robot: RobotManager) -> None:
     with_feedback, without = enter(), enter()
-    send(with_feedback, {"value": 2}, feedback=True)
+    send(with_feedback, {"value": 2}, feedback=1)
     action = {"action": "/uoarm/navigate", "id": "g"}
     for step in range(2):
         reports = {"op": "action_feedback", "values": {"step": step}, **action}

@@ -78,7 +78,7 @@ def test_another_type_is_reported_also_the_second_time(
 def test_another_type_than_that_of_the_publisher_is_reported(enter: Enter) -> None:
     client, publisher = enter(), enter()
     publisher.send(op="advertise", topic="/chatter", type="std_msgs/msg/String")
-    publisher.send(op="publish", topic="/chatter", msg={"data": "a"}, latch=True)
+    publisher.send(op="publish", topic="/chatter", msg={"data": "a"}, latch=1)
     assert publisher.call("/rosapi/get_time")
     text = client.refused(op="subscribe", topic="/chatter", type="std_msgs/Int32")
     assert "has the type 'std_msgs/msg/String', not 'std_msgs/Int32'" in text
@@ -223,6 +223,15 @@ def test_an_id_that_nothing_could_match_is_refused(enter: Enter, identity: objec
     assert "id: expected a number or a text" in answer["values"]
 
 
+@pytest.mark.parametrize("timeout", ["5", True, [1]])
+def test_a_limit_of_a_call_that_is_no_number_is_refused(enter: Enter, timeout: object) -> None:
+    client = enter()
+    client.send(op="call_service", id=1, service="/uoarm/add", args=[1, 2], timeout=timeout)
+    answer = client.receive()
+    assert (answer["id"], answer["result"]) == (1, False)
+    assert "call_service: timeout: expected a number, got" in answer["values"]
+
+
 def test_services_between_clients_have_the_type_that_their_provider_states(enter: Enter) -> None:
     provider, caller = enter(), enter()
     provider.send(op="advertise_service", service="/half", type="std_srvs/SetBool")
@@ -362,6 +371,7 @@ def test_a_slow_call_holds_up_nothing(enter: Enter) -> None:
         ('{"op": "unadvertise", "topic": "/t"}', "does not publish"),
         ('{"op": "unadvertise_service", "service": "/t"}', "does not provide"),
         ('{"op": "service_response", "id": "1", "result": true}', "no call waits"),
+        ('{"op": "service_response", "id": "1", "result": 1}', "result: expected true or false"),
         ('{"op": "set_level", "level": "loud"}', "expected one of info"),
         ('{"op": "subscribe", "topic": "/uoarm/nothing"}', "nothing"),
         ('{"op": "advertise", "topic": "/uoarm/nothing", "type": "x"}', "no function"),
@@ -449,6 +459,7 @@ def test_clients_provide_services_to_one_another(enter: Enter) -> None:
     [
         ('{"op": "service_response", "id": "ID", "values": {}}', "'result' is missing"),
         ('{"op": "service_response", "id": "other", "result": true}', "no call waits"),
+        ('{"op": "service_response", "id": "ID", "values": {}, "result": {}}', "true or false"),
         ("{", "the last answer of the client that provides it"),
     ],
 )

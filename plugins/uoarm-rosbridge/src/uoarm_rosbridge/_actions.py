@@ -367,7 +367,7 @@ class Actions:
         feedback = {**fields, "op": "action_feedback"}
 
         def on_feedback(values: Message) -> None:
-            if fields.get("feedback") is True:
+            if fields.get("feedback"):
                 try:
                     frame = write_ros({"op": "action_feedback", "values": values, **named})
                 except MessageError as error:

@@ -95,7 +95,7 @@ class ClientServices:
         """Call a service and send its response."""
         arguments = fields.get("args")
         limit, most = fields.get("timeout"), self._client.limits.call_seconds
-        timeout = min(float(limit), most) if isinstance(limit, int | float) and limit > 0 else most
+        timeout = min(float(limit), most) if limit is not None and limit > 0 else most
         stated = str(fields.get("type") or "")
         values = await self._answer(str(fields["service"]), stated, arguments, timeout)
         response = {

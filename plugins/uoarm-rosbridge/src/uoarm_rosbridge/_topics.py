@@ -289,7 +289,7 @@ class Topics:
             return
         if not isinstance(message, dict):
             raise ControlMessageError("publish: msg: expected an object")
-        latch = fields.get("latch") is True or published.is_latched
+        latch = bool(fields.get("latch")) or published.is_latched
         account = self._client.account if latch else None
         publication.publish(message, done, self._client.in_hand, account)
 
@@ -356,7 +356,7 @@ class Topics:
                 place.name, _type_in(fields), self._hub, self._backend, self._client
             )
             self._hint(place, Role.INPUT, fields)
-        published = _Published(publication, kind, fields.get("latch") is True)
+        published = _Published(publication, kind, bool(fields.get("latch")))
         self._published[place.name] = published
         return published
 

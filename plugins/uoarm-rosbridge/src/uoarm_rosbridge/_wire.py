@@ -95,6 +95,11 @@ def check_fields(fields: Mapping[str, Any], needed: tuple[str, ...]) -> None:
             raise ControlMessageError(
                 f"{op}: {name}: expected a number from 0 on, got {show_value(value)}"
             )
+    timeout, result = fields.get("timeout"), fields.get("result")
+    if timeout is not None and type(timeout) not in {int, float}:
+        raise ControlMessageError(f"{op}: timeout: expected a number, got {show_value(timeout)}")
+    if result is not None and type(result) is not bool:
+        raise ControlMessageError(f"{op}: result: expected true or false, got {show_value(result)}")
 
 
 def identity_of(fields: Mapping[str, Any]) -> str | float | None:
