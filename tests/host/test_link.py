@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 from contextlib import suppress
+from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
@@ -20,7 +21,7 @@ from uoarm.errors import (
     PluginError,
     UoarmError,
 )
-from uoarm.testing import free_port, patience, wait
+from uoarm.testing import Background, free_port, patience, wait
 
 Ends = tuple[Transport, Transport]
 
@@ -171,6 +172,50 @@ def test_who_takes_one_flow_holds_up_no_other_and_no_request(ends: Ends) -> None
     gate.set()
     wait(lambda: len(held) == 3)
     assert held == [b"1", b"2", b"3"]
+
+
+def test_requests_and_notices_go_ahead_of_messages_that_wait_for_a_full_link() -> None:
+    place, blocking = f"tcp/127.0.0.1:{free_port()}", "transport/link/tx/queue/congestion_control/"
+    patient = {f"{blocking}block/wait_before_close": int(4 * patience() * 1e6)}
+    near = ZenohTransport(place, listen=True, more=patient)
+    far = ZenohTransport(place, listen=False, more=patient)
+    order: list[str] = []
+    is_full, go_on = threading.Event(), threading.Event()
+
+    def hold_up(_: bytes) -> None:
+        is_full.set()
+        go_on.wait(3 * patience())
+
+    def answer(_: Any, reply: Reply) -> None:
+        order.append("request")
+        reply(None)
+
+    def ask() -> None:
+        near.notify("notice", b"h")
+        near.ask_later("request", print, timeout=patience())
+
+    sending: list[Background[None]] = []
+    try:
+        far.listen("first", hold_up)
+        far.listen("message", lambda _: order.append("message"))
+        far.listen("notice", lambda _: order.append("notice"))
+        far.answer("request", answer)
+        _settle(near, far)
+        near.notify("first", b"h")
+        assert is_full.wait(patience())  # from now on nothing is read there
+        long = bytes(32 * 2**20)
+        publish = partial(near.publish, "message", long, b"h", must_arrive=True)
+        sending += [Background(publish) for _ in range(4)]
+        Background(ask).result(patience())
+        go_on.set()
+        wait(lambda: len(order) == 6)
+    finally:
+        go_on.set()
+        for sent in sending:
+            sent.result(patience())
+        far.close()
+        near.close()
+    assert order.index("request") <= 2, order
 
 
 def test_an_error_of_the_engine_does_not_show_where_that_was_built() -> None:

@@ -56,6 +56,8 @@ _MESSAGES = (
 )
 _PLACE_IN_ZENOH = re.compile(r" at /\S+\.rs:\d+")  # of the machine that built it
 _BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
+# Of requests, their answers, and notices: before all messages that wait for a link that is full.
+_AHEAD = zenoh.Priority.INTERACTIVE_HIGH
 _log = logging.getLogger("uoarm")
 NO_MORE: Mapping[str, object] = MappingProxyType({})
 _FULL_SECONDS = 0.2
@@ -204,7 +206,10 @@ class ZenohTransport(Transport):
         # Zenoh ends the replies when the limit is over, and at once where no one answers at the
         # key: only the time that has passed distinguishes them.
         with _wrapped(f"asking {key}"):
-            replies = list(self._session.get(key, payload=pack(request), timeout=timeout))
+            getting = self._session.get(
+                key, payload=pack(request), timeout=timeout, priority=_AHEAD
+            )
+            replies = list(getting)
         late = time.monotonic() - begun >= timeout
         if late and (not replies or replies[0].ok is None):
             raise BridgeTimeoutError(f"no answer at {key} within {timeout:g} s")
@@ -226,7 +231,9 @@ class ZenohTransport(Transport):
                 take(answer)
 
         with _wrapped(f"asking {key}"):
-            self._session.get(key, _directly(handle), payload=pack(None), timeout=timeout)
+            self._session.get(
+                key, _directly(handle), payload=pack(None), timeout=timeout, priority=_AHEAD
+            )
 
     def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
         """Have requests at a key handed to `take`, in Zenoh's thread."""
@@ -285,7 +292,14 @@ class ZenohTransport(Transport):
 
     def notify(self, key: str, header: bytes) -> None:
         """Send a header to who listens at a key."""
-        self.publish(key, b"", header, must_arrive=True)
+        with _wrapped(f"sending to {key}"):
+            self._session.put(
+                self._prefix + key,
+                b"",
+                attachment=header,
+                congestion_control=_BLOCK,
+                priority=_AHEAD,
+            )
 
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
         """Have headers that are sent to a key handed to `take`, in Zenoh's thread."""
