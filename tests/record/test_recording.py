@@ -689,3 +689,17 @@ def test_a_recording_that_is_left_while_its_opening_is_undone_leaves_no_file(
     with pytest.raises(KeyboardInterrupt):
         robot.record("counter", path=tmp_path / "run.mcap")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("ring", [None, 60])
+def test_a_file_may_have_a_name_that_is_no_text(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, ring: float | None
+) -> None:
+    clicks, path = bridge.emitter("clicks", COUNT), tmp_path / os.fsdecode(b"run\xff.mcap")
+    with make_robot().record("counter", path=path, queue=BLOCK, ring=ring) as recording:
+        clicks.emit({"n": 1})
+        wait(lambda: recording.status().channels[0].received)
+        if ring is not None:
+            recording.dump()
+    status = recording.status()
+    assert (status.state, status.channels[0].recorded) == ("ended", 1)

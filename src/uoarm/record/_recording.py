@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 from typing_extensions import Self
 
+from uoarm._encodable import encodable
 from uoarm._interrupts import wait_for
 from uoarm._raised import LimitedLog, contained, on_failure, sentence_of, text_of
 from uoarm.errors import UoarmError, UsageError
@@ -300,7 +301,7 @@ class Recording:
 
     @property
     def _subject(self) -> str:
-        return f"recording {self._path.name}"
+        return f"recording {encodable(self._path.name)}"
 
     def _write_all(self) -> None:
         while True:
@@ -587,5 +588,5 @@ class Recording:
             raise
         ring.clear()
         self._unwritten_failure = ""
-        self._report(self._subject, "written", f"{file.path}: {cause}")
+        self._report(self._subject, "written", f"{encodable(str(file.path))}: {cause}")
         return str(file.path)
