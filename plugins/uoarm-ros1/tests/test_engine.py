@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 import xmlrpc.client
@@ -411,6 +412,9 @@ def test_what_cannot_be_read_of_an_installation_costs_its_own_type_alone(
         TypeStore([str(tmp_path)])
     gone.unlink()
     assert TypeStore([str(tmp_path)]).message("own_msgs/Own") is not None
+    os.mkfifo(gone)
+    with pytest.raises(ConfigurationError, match=f"{gone} cannot be read: no regular file"):
+        TypeStore([str(tmp_path)])
 
 
 def test_names_are_resolved_as_ros_does() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -120,6 +121,7 @@ def test_what_cannot_be_read_is_a_problem_and_the_rest_is_read(tmp_path: Path) -
         p__srv__One="int8 a\n",
     )
     (tmp_path / "p" / "msg" / "Octets.msg").write_bytes(b"\xff\xfe")
+    os.mkfifo(tmp_path / "p" / "msg" / "Pipe.msg")
     doubling = {f"p__msg__D{n}": f"D{n + 1} a\nD{n + 1} b\n" for n in range(30)}
     write(tmp_path, **doubling, p__msg__D30="int8 a\n")
     found = read_definitions(tmp_path)
@@ -130,6 +132,7 @@ def test_what_cannot_be_read_is_a_problem_and_the_rest_is_read(tmp_path: Path) -
     assert "more than 20,000 fields" in found.problems["p/msg/D0"]
     by_file = {Path(name).name: text for name, text in found.problems.items()}
     assert {"Wrong.msg", "Octets.msg", "One.srv", "Double.msg"} <= by_file.keys()
+    assert by_file["Pipe.msg"] == "no regular file"
     assert by_file["Double.msg"] == "line 2: 'int16 a': line 1 defines a already"
     assert "1 parts between lines of ---, not 2" in by_file["One.srv"]
 

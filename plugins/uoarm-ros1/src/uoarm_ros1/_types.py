@@ -204,6 +204,9 @@ class TypeStore:
             text = f"{folder} holds {len(files):,} definitions, more than {_MAX_FILES:,}"
             raise ConfigurationError(text)
         for path in files:
+            if path.exists() and not path.is_file():  # but a pipe, on which this would wait
+                text = f"definitions: {path} cannot be read: no regular file"
+                raise ConfigurationError(text)
             try:
                 if path.stat().st_size > _MAX_OCTETS:
                     continue

@@ -156,6 +156,8 @@ class DefinitionReader:
     def _take_file(self, path: Path) -> None:
         if path.stat().st_size > _MAX_OCTETS:
             raise ValueError(f"more than {_MAX_OCTETS:,} octets")
+        if not path.is_file():  # but a pipe, on which this would wait
+            raise ValueError("no regular file")
         text = path.read_text(encoding="utf-8")
         if path.suffix == ".idl":
             for message in _idl_parser()(_INCLUDE.sub("", text)).specification():
