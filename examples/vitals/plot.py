@@ -30,7 +30,7 @@ def main() -> int:
     try:
         with RobotManager.from_file(given.file) as robot, robot.request("pulseOximetry") as flow:
             plot(flow, time.monotonic() + given.seconds)
-    except UoarmError as error:
+    except (UoarmError, TimeoutError) as error:
         print(f"no pulse: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
