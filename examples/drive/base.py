@@ -50,14 +50,14 @@ class Base(Node):  # type: ignore[misc]  # rclpy has no types
 
 def main() -> None:
     """Drive until interrupted."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    base = Base()
-    with suppress(KeyboardInterrupt):
+    with suppress(KeyboardInterrupt):  # also as it begins
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        base = Base()
         print("standing still", flush=True)
         while True:
             rclpy.spin_once(base, timeout_sec=0.2)
-    rclpy.shutdown()
+    rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

@@ -43,8 +43,8 @@ def main() -> int:
         pages = ThreadingHTTPServer(
             ("127.0.0.1", options.page_port), partial(Pages, directory=str(HERE))
         )
-    except OSError as error:
-        text = f"cannot listen on 127.0.0.1:{options.page_port}: {error.strerror}"
+    except (OSError, OverflowError) as error:
+        text = f"cannot listen on 127.0.0.1:{options.page_port}: {error}"
         print(f"{text}; --page-port takes another", file=sys.stderr)
         return 2
     page = f"http://127.0.0.1:{pages.server_port}"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 import signal
-import sys
 from contextlib import suppress
 
 import rclpy
@@ -22,7 +22,9 @@ def _pose(x: float, y: float) -> PoseStamped:
 
 def main() -> None:
     """Answer on /KIND/plan until interrupted."""
-    kind = sys.argv[1]
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kind", choices=("grid", "straight"))
+    kind = parser.parse_args().kind
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node(f"{kind}_planner")

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from uoarm import ResolutionError, RobotManager, environments
+from uoarm import ResolutionError, RobotManager, UoarmError, environments
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -63,7 +63,8 @@ def _node(version: str, *command: Path | str) -> Iterator[subprocess.Popen[bytes
         variables.pop(trace, None)
     variables["ROS_DOMAIN_ID"] = DOMAINS[version]
     python = str(environments.environment_python(version))
-    process = subprocess.Popen([python, *map(str, command)], env=variables)
+    with_us = ("setpriv", "--pdeathsig", "TERM")  # the kernel ends it when this process is killed
+    process = subprocess.Popen([*with_us, python, *map(str, command)], env=variables)
     try:
         yield process
     finally:
@@ -80,3 +81,5 @@ if __name__ == "__main__":
         sys.exit(main())
     except KeyboardInterrupt:
         sys.exit(130)
+    except UoarmError as failure:
+        sys.exit(str(failure))

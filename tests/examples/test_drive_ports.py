@@ -23,6 +23,12 @@ def test_a_port_that_is_taken_is_reported_before_anything_is_started() -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_a_port_that_is_none_is_reported() -> None:
+    done = run_python(EXAMPLE / "drive.py", "--page-port", "65536")
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+
+
 def test_the_terminal_reports_a_server_that_is_no_robot() -> None:
     server = ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler)
     thread = threading.Thread(target=server.serve_forever)
