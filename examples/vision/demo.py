@@ -37,7 +37,7 @@ def main() -> int:
         result = run(
             HERE / "robot.yaml", cache, options.output, light=options.light, console=console
         )
-    except (FootageError, UoarmError) as error:
+    except (FootageError, UoarmError, OSError) as error:
         console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
         return 2
     except KeyboardInterrupt:

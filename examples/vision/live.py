@@ -40,7 +40,7 @@ def main() -> int:
     except ModuleNotFoundError as error:
         print(f"{error.name} is not installed: `make live` installs what it needs")
         return 2
-    except (FootageError, UoarmError, OSError) as error:
+    except (FootageError, UoarmError, OSError, OverflowError) as error:
         console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
         return 2
     except KeyboardInterrupt:
@@ -58,7 +58,7 @@ def serve(port: int, console: Console) -> None:
     Raises:
         FootageError: footage cannot be had.
         UoarmError: no plan fits.
-        OSError: the port is taken.
+        OSError, OverflowError: the port is taken, or is none.
     """
     from vision_demo.ports import listens  # noqa: PLC0415 - beside the other imports
     from vision_demo.run import enrol_persons, fetch  # noqa: PLC0415 - needs the extras

@@ -35,6 +35,18 @@ def run(vision: Path, output: Path, *options: str, **environment: str) -> tuple[
     return done.returncode, json.loads(done.stdout) if done.stdout else None, done.stderr
 
 
+def test_a_folder_that_cannot_be_made_is_reported_before_anything_is_fetched(
+    vision: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    code, _, said = run(vision, file / "folder", UOARM_CACHE=str(tmp_path / "cache"))
+    assert code == 2
+    assert "Traceback" not in said
+    assert str(file) in said
+    assert not (tmp_path / "cache").exists()
+
+
 @pytest.fixture
 def brief(vision: Path, tmp_path: Path) -> Path:
     """The example with a third of each film, as dlib takes its time for every picture."""

@@ -32,6 +32,14 @@ def test_an_interrupt_before_it_serves_ends_it_as_one_afterwards_does(
     assert live.main() == 0
 
 
+def test_a_port_that_is_none_is_reported(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["live.py", "--port", "65536"])
+    assert live.main() == 2
+    assert "port must be 0-65535" in capsys.readouterr().out
+
+
 def test_a_port_that_is_taken_is_reported_before_anything_is_fetched(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -41,7 +41,6 @@ class Album:
         if not self._best:
             raise ValueError("there is nothing to draw: no message came")
         panels = [_panel(self._best[source]) for source in sorted(self._best)]
-        file.parent.mkdir(parents=True, exist_ok=True)
         if not cv2.imwrite(str(file), np.hstack(panels)):
             raise OSError(f"{file} cannot be written")
         return file

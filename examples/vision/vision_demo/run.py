@@ -105,7 +105,9 @@ def run(robot_file: Path, cache: Path, output: Path, *, light: bool, console: Co
     Raises:
         FootageError: footage cannot be had.
         UoarmError: no plan fits, or a component died.
+        OSError: the picture cannot be written.
     """
+    output.mkdir(parents=True, exist_ok=True)  # or all would have been played for nothing
     footage = fetch(cache, console)
     os.environ["UOARM_VISION"] = str(footage.folder)
     if light:
