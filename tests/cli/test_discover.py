@@ -63,6 +63,22 @@ def test_the_suggestion_is_added_to_a_file(file: Path) -> None:
     assert file.read_text(encoding="utf-8") == merged
 
 
+def test_a_file_that_cannot_be_written_is_known_before_bridges_look(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[object] = []
+
+    def discover(*_: object, **__: object) -> tuple[()]:
+        looked.append(1)
+        return ()
+
+    monkeypatch.setattr(RobotManager, "discover", discover)
+    done = run("suggest", "--merge", tmp_path / "absent" / "robot.yaml")
+    assert (done.exit_code, looked) == (1, []), done.output
+    assert "robot.yaml cannot be written: [Errno 2] No such file" in done.stderr
+    assert list(tmp_path.iterdir()) == [file]
+
+
 def test_the_file_of_the_folder_is_meant_where_none_is_named(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,7 +12,7 @@ import click
 from attrs import evolve
 
 from uoarm import RobotManager
-from uoarm._support.files import stamp_of, write_whole
+from uoarm._support.files import stamp_of, write_whole, written_beside
 from uoarm.bridge import Registry
 from uoarm.cli._output import echo, styled
 from uoarm.cli._shared import (
@@ -101,6 +101,9 @@ def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
             f"{into} has nothing yet, and would not have what is in {file}: leave {file} out, or "
             f"merge into {file}"
         )
+    if into is not None:
+        with _writing(into), written_beside(Path(into), b""):
+            pass  # before the bridges look, which may take long
     named = file or into or STANDARD
     file = named if file is not None or Path(named).exists() else None
     registry = Registry()
@@ -145,11 +148,17 @@ def _merge_into(path: Path, before: str, lines: str) -> None:
     if merged == before:
         echo(f"{path}: it has everything already")
         return
-    try:
+    with _writing(path):
         write_whole(path, merged.encode())
+    echo(f"{path}: {len(merged.splitlines()) - len(before.splitlines())} lines added")
+
+
+@contextmanager
+def _writing(path: str | Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         fail(f"{path} cannot be written: {error}", REFUSED, "UOA-003")
-    echo(f"{path}: {len(merged.splitlines()) - len(before.splitlines())} lines added")
 
 
 @contextmanager
