@@ -39,7 +39,8 @@ def vehicle(name: str, port: int) -> Iterator[subprocess.Popen[bytes]]:
         try:
             # Not what answers at the port: that may be another server, which has taken it.
             if process.stdout is None or not process.stdout.readline():
-                raise SystemExit(f"the vehicle at port {port} has ended")
+                text = f"the vehicle at port {port} has ended"
+                raise SystemExit(f"{text}: desk.py PORT PORT PORT takes other ports")
             yield process
         finally:
             process.terminate()

@@ -65,9 +65,15 @@ def _run(options: argparse.Namespace) -> int:
     from healthbot_scene.places import make_places  # noqa: PLC0415
     from healthbot_scene.separate import HOSTS, prepare_environments  # noqa: PLC0415
     from vision_demo.packages import FootageError  # noqa: PLC0415
+    from vision_demo.ports import listens  # noqa: PLC0415
 
     from uoarm import UoarmError  # noqa: PLC0415
 
+    ports = None if options.free_ports else _PORTS
+    for port in filter(listens, ports or ()):
+        text = f"port {port} is in use, perhaps by another scene"
+        print(f"{text}: --free-ports takes others", file=sys.stderr)
+        return 2
     cache = Path(os.environ.get("UOARM_CACHE", ROOT / ".cache")) / "vision"
     try:
         hosts = None
@@ -76,7 +82,6 @@ def _run(options: argparse.Namespace) -> int:
             hosts = {key: f"{{environment: {host.name}}}" for key, host in HOSTS.items()}
         with tempfile.TemporaryDirectory(prefix="healthbot-") as temporary:
             _say("Footage and faces ...")
-            ports = None if options.free_ports else _PORTS
             places = make_places(options.run or Path(temporary), cache, ports, _say)
             parts = parts_of(places, places.write_robot(options.robot, hosts), HERE / "browser")
             with Crew(places.run, places.environment()) as crew:

@@ -27,7 +27,9 @@ def test_a_server_that_has_taken_a_port_is_no_vehicle() -> None:
     port = str(free_port())
     done = run_python(DESK, port, port, str(free_port()))
     assert done.returncode == 1, done.stdout
-    assert done.stderr.endswith(f"the vehicle at port {port} has ended\n")
+    assert done.stderr.endswith(
+        f"the vehicle at port {port} has ended: desk.py PORT PORT PORT takes other ports\n"
+    )
 
 
 def test_what_are_no_three_ports_is_refused() -> None:

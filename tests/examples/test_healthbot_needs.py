@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import socket
 import subprocess
 import sys
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -49,3 +52,13 @@ def test_an_old_node_counts_as_none(tmp_path: Path) -> None:
     code, text = scene("--visit", path=str(tmp_path))
     assert code == 2
     assert "Node.js" in text
+
+
+@pytest.mark.needs(*HEALTHBOT)
+def test_a_port_that_is_taken_is_reported_before_anything_is_started() -> None:
+    with ExitStack() as stack:
+        with suppress(OSError):  # another scene runs on it, which does as well
+            stack.enter_context(socket.create_server(("127.0.0.1", 9281)))
+        code, text = scene()
+    assert code == 2
+    assert re.search(r"^port \d+ is in use.*: --free-ports takes others$", text, re.MULTILINE)
