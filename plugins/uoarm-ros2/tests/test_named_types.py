@@ -76,6 +76,11 @@ functions:
       - name: turn
         bridge: ros
         service: {endpoint: [/turn, std_srvs/srv/SetBol]}
+  hold:
+    components:
+      - name: hold
+        bridge: ros
+        service: {endpoint: [/hold, claw_msgs/srv/Hold]}
 """
 
 
@@ -84,6 +89,8 @@ def test_check_names_types_that_are_not_here_and_files_that_cannot_be_read(tmp_p
     folder.mkdir(parents=True)
     (folder / "Grip.msg").write_text("int8 a\n")
     (folder / "Force.msg").write_text("uint8 newtons 300\n")
+    (folder.parent / "srv").mkdir()
+    (folder.parent / "srv" / "Hold.srv").write_text("---\n")
     (tmp_path / "robot.yaml").write_text(CHECKED)
     done = CliRunner().invoke(main, ["check", str(tmp_path / "robot.yaml"), "--json"])
     assert done.exit_code == 0, done.output
@@ -94,8 +101,9 @@ def test_check_names_types_that_are_not_here_and_files_that_cannot_be_read(tmp_p
         "Force.msg: line 1: 'uint8 newtons 300': expected a whole number from 0 to 255, got '300'"
     )
     found = {path: text for path, text in warnings.items() if "type" in text}
-    assert len(found) == 5, found
-    whole, image, bad, none, service = (found[path] for path in sorted(found))
+    assert len(found) == 6, found
+    whole, hold, image, bad, none, service = (found[path] for path in sorted(found))
+    assert hold.endswith("the type 'claw_msgs/srv/Hold': build its package")
     assert wrong in whole
     assert (
         "no package that is installed here has the type 'sensor_msgs/msg/Imaeg'; did you" in image

@@ -185,11 +185,10 @@ def doubts(
     if wrong:
         more = f"; and {len(wrong) - _SHOWN} more" if len(wrong) > _SHOWN else ""
         found[()] = f"types of definitions cannot be used: {'; '.join(wrong[:_SHOWN])}{more}"
-    known = [*installed(), *reading.names]
     for address in addresses:
         name = address[1] if len(address) > 1 else ""
         if not type_mistake(name) and name != TF_MESSAGE and not _is_here(name, reading):
-            found[address] = _doubt(name, known, reading)
+            found[address] = _doubt(name, reading)
     return found
 
 
@@ -203,13 +202,16 @@ def _is_here(name: str, reading: DefinitionReader) -> bool:
     return True
 
 
-def _doubt(name: str, known: list[str], reading: DefinitionReader) -> str:
+def _doubt(name: str, reading: DefinitionReader) -> str:
     if name in reading.unread:
         return f"{of_type(name)}{reading.unread[name]}"
-    rest = did_you_mean(name, known)
-    if not rest and kind_of(name) == MESSAGE:
-        rest = ": a node on the topic must describe it"
-    rest = rest or ": build its package"
+    if kind_of(name) == MESSAGE:
+        known = [*installed(), *reading.names]
+        rest = did_you_mean(name, known) or ": a node on the topic must describe it"
+    else:  # of definitions only messages can be used
+        defined = {_part_of(part, kind_of(part))[0] for part in reading.names}
+        rest = "" if name in defined else did_you_mean(name, installed())
+        rest = rest or ": build its package"
     return f"no package that is installed here has the type {name!r}{rest}"
 
 
