@@ -155,6 +155,21 @@ async def test_a_long_message_is_written_once_for_each_form_and_beside_the_loop(
     assert all(reader.took == [1, 2, "closed kill"] for reader in readers)
 
 
+async def test_an_array_larger_than_any_memory_is_refused_and_not_written() -> None:
+    encoder, loop = Encoder(), asyncio.get_running_loop()
+    feed, reader = Feed(LoopMailbox(loop), Limits(), encoder), Reader()
+    reader.begin(feed)
+    feed.take({"mask": np.broadcast_to(np.uint8(0), (2**20, 2**20))})  # it repeats one octet
+    feed.take(2)
+    end = loop.time() + patience()
+    while len(reader.took) < 2:
+        await asyncio.sleep(0)
+        assert loop.time() < end
+    encoder.close()
+    assert reader.lane.dropped == 1
+    assert len(reader.threads) == 1
+
+
 def _plain(value: Any) -> Any:
     """Return a value as JSON text has it."""
     if isinstance(value, list):

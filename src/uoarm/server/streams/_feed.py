@@ -175,6 +175,7 @@ class Envelope:
         came: when, in seconds of the feed's clock.
         joiner: who alone gets it, since it stood when that one joined; None: it is for all.
         is_late: whether only those get it who want all.
+        is_long: whether it takes long to write.
         forms: what was written of it, by form. A message that has none keeps its error: each client
             is refused, and it is tried once. The encoder's thread sets an entry, the loop reads it
             after the future of that is done.
@@ -187,6 +188,7 @@ class Envelope:
     came: float = 0.0
     joiner: Listener | None = None
     is_late: bool = field(default=False, init=False)
+    is_long: bool = field(default=False, init=False)
     forms: dict[str, bytes | MessageError] = field(factory=dict, init=False)
     writing: dict[str, asyncio.Future[object]] = field(factory=dict, init=False)
 
@@ -472,7 +474,8 @@ class Feed:
         envelope = self._next() if self._can_hand() else None
         if envelope is None:
             return False
-        if takes_long(envelope.message) and self._begin_writing(envelope):
+        envelope.is_long = takes_long(envelope.message)
+        if envelope.is_long and self._begin_writing(envelope):
             return False
         self._hand_one(envelope)
         return True

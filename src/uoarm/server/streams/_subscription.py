@@ -22,6 +22,7 @@ from uoarm.server.streams._outbox import Lane, Outbox
 from uoarm.server.streams._pending_feeds import OnAbsent
 
 _AGAIN_SECONDS = 1.0
+_MOST_OCTETS = 2**30  # of a message as it is held: more than is ever written of one
 
 Write: TypeAlias = Callable[[int, Message], bytes]
 """Makes the form of a message that has a number."""
@@ -325,6 +326,9 @@ class Subscription:
         write = self._write if envelope.joiner is None else self._write_standing
         made: bytes | MessageError
         try:
+            if envelope.is_long and envelope.message_octets > _MOST_OCTETS:
+                text = f"the message holds {envelope.message_octets:,} octets of memory"
+                raise MessageError(f"{text}; {_MOST_OCTETS:,} are allowed")  # noqa: TRY301
             made = write(envelope.number, envelope.message)
         except BaseException as error:  # noqa: BLE001 - of the message's values, or a front end's
             raised = contained(error)
