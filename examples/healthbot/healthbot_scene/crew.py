@@ -6,7 +6,6 @@ import os
 import signal
 import string
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -118,10 +117,10 @@ class Crew:
 
     def _launch(self, part: Part) -> Running:
         log = self._run / f"{part.name}.log"
-        launch = (sys.executable, "-m", "healthbot_scene.launch", str(os.getpid()))
+        with_us = ("setpriv", "--pdeathsig", "KILL")  # the kernel ends it with this thread
         with log.open("wb") as out:
             process = subprocess.Popen(
-                (*launch, *part.command),
+                (*with_us, *part.command),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=subprocess.STDOUT,
