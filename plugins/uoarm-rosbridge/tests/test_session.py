@@ -6,6 +6,7 @@ import asyncio
 import base64
 import gc
 import json
+import threading
 from contextlib import suppress
 from typing import Any, NoReturn
 
@@ -24,7 +25,7 @@ from uoarm.server import Limits, Server
 from uoarm.server.front_end import Feed
 from uoarm.server.publication import InputPublication
 from uoarm.server.streams import FeedRegistry
-from uoarm.testing import slowness
+from uoarm.testing import patience, slowness
 
 
 def test_a_function_is_a_topic(enter: Enter, robot: RobotManager) -> None:
@@ -73,6 +74,29 @@ def test_another_type_is_reported_also_the_second_time(
     assert "Int32', not 'std_msgs/String'" in text
     client.send(op=op, id="3", topic=topic, type="std_msgs/msg/Int32")
     assert client.call("/rosapi/get_time")
+
+
+def test_another_type_is_reported_that_is_stated_before_the_topic_opens(
+    enter: Enter, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, join = threading.Event(), FeedRegistry.join
+
+    async def join_late(registry: FeedRegistry, *arguments: Any) -> Feed:
+        await asyncio.to_thread(go_on.wait, patience())
+        return await join(registry, *arguments)
+
+    monkeypatch.setattr(FeedRegistry, "join", join_late)
+    client = enter()
+    client.send(op="subscribe", id="1", topic="/uoarm/typed")
+    client.send(op="subscribe", id="2", topic="/uoarm/typed", type="std_msgs/String")
+    assert client.call("/rosapi/get_time")
+    go_on.set()
+    report = client.receive()
+    assert (report["op"], report["id"]) == ("status", "2")
+    assert "Int32', not 'std_msgs/String'" in report["msg"]
+    opened(robot, 1)
+    client.send(op="unsubscribe", id="1", topic="/uoarm/typed")
+    opened(robot, 0)
 
 
 def test_another_type_than_that_of_the_publisher_is_reported(enter: Enter) -> None:

@@ -104,12 +104,14 @@ class SubscribeOptions:
         length: messages kept while the client must not have them yet; 0: only the newest goes.
         fragment: longest text of one frame in characters; 0: any.
         compression: `none`, `png`, `cbor` or `cbor-raw`.
+        kind: the type that it states; empty: none.
     """
 
     every: float = 0.0
     length: int = 0
     fragment: int = 0
     compression: str = "none"
+    kind: str = ""
 
 
 def read_options(fields: Mapping[str, Any]) -> SubscribeOptions:
@@ -129,6 +131,7 @@ def read_options(fields: Mapping[str, Any]) -> SubscribeOptions:
         length=min(int(fields.get("queue_length") or 0), _MOST),
         fragment=fragment_size(fields),
         compression=compression,
+        kind=_type_in(fields),
     )
 
 
@@ -395,6 +398,14 @@ class Topics:
 
         def check(feed: Feed) -> None:
             subscription.kind.find(_structure_of(place, feed).native_type)
+            for identity, asked in [*subscription.asked.items()]:
+                try:  # what was stated before the type was known
+                    subscription.kind.check(asked.kind)
+                except MessageError as error:
+                    if subscription.drop(identity):
+                        raise
+                    named = {} if identity == place.name else {"id": identity}
+                    self._fail({"op": "subscribe", "topic": topic, **named}, error)
             subscription.check_form()
 
         subscription = RosbridgeSubscription(
