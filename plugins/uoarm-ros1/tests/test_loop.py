@@ -7,6 +7,7 @@ import resource
 import socket
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -206,3 +207,18 @@ def test_a_bridge_turns_no_more_than_its_messages_need(master: Master, lasting: 
         assert bridge.facts() == {"empty_turns": 0}
         channel.close()
     assert bridge.facts() == {"empty_turns": 0}
+
+
+def test_what_came_over_a_connection_that_has_ended_is_not_kept(loop: SocketLoop) -> None:
+    server = NodeServer(loop, "127.0.0.1", lambda *_: [1, "", 0], lambda *_: None)
+    held = server._unidentified._held
+    with socket.create_connection(("127.0.0.1", server.api_port)) as connection:
+        connection.sendall(b"POST / HTTP/1.1\r\nContent-Length: 2000000\r\n\r\n" + bytes(1000))
+        wait(lambda: any(held.values()))
+        (kept,) = map(weakref.ref, held)
+
+    def is_gone() -> bool:
+        loop.post(lambda: None)  # the thread refers to what it read last until its next turn
+        return kept() is None
+
+    wait(is_gone)

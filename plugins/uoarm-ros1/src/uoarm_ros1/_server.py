@@ -8,6 +8,7 @@ import selectors
 import socket
 import threading
 import time
+import weakref
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
@@ -345,16 +346,24 @@ class _UnidentifiedConnection(Handler):
         connection: socket.socket,
         loop: SocketLoop,
         unidentified: _UnidentifiedConnections,
-        seconds: float,
     ) -> None:
         super().__init__(connection)
         self._loop, self._unidentified = loop, unidentified
         unidentified.enter(self)
-        loop.later(seconds, self._turn_away)
+        self._look_later()
 
     def failed(self, cause: str) -> None:
         del cause
         self._unidentified.leave(self)
+
+    def _look_later(self) -> None:
+        # Not kept for it: what has ended is gone at once, with all that came over it.
+        look = weakref.WeakMethod(self._look)
+        self._loop.later(_ARRIVAL_SECONDS, lambda: (alive := look()) and alive())
+
+    def _look(self) -> None:
+        """Close what is late."""
+        self._turn_away()
 
     def _turn_away(self) -> None:
         if self._unidentified.leave(self):
@@ -372,14 +381,14 @@ class _Api(_UnidentifiedConnection):
         answer: Answer,
         unread: Callable[[bytes], object],
     ) -> None:
-        # A master keeps its connections for the next call; one that is idle too long is closed.
-        super().__init__(connection, loop, unidentified, _IDLE_SECONDS)
+        super().__init__(connection, loop, unidentified)
+        # A master keeps its connections for the next call.
+        self._until = time.monotonic() + _IDLE_SECONDS
         self._reader = HttpReader(_CALL_BUDGET.octets)
         self._answer, self._unread = answer, unread
         self._out = bytearray()
         self._ends = False
-        self._calls = 0
-        loop.later(_ARRIVAL_SECONDS, lambda: self._look(0))
+        self._calls = self._seen = 0
 
     def readable(self) -> None:
         octets = self.socket.recv(_CHUNK)
@@ -410,14 +419,15 @@ class _Api(_UnidentifiedConnection):
             self._turn_away()
         return bool(self._out)
 
-    def _look(self, calls: int) -> None:
-        """Close what began to say something and does not go on."""
-        if calls == self._calls and (not self._reader.is_between_messages or self._out):
+    def _look(self) -> None:
+        """Close what began to say something and does not go on, and what is here too long."""
+        is_between = self._reader.is_between_messages and not self._out
+        stands_still = self._seen == self._calls and not is_between
+        if stands_still or time.monotonic() >= self._until:
             self._turn_away()
-            return
-        before = self._calls
-        if self._unidentified.has(self):
-            self._loop.later(_ARRIVAL_SECONDS, lambda: self._look(before))
+        elif self._unidentified.has(self):
+            self._seen = self._calls
+            self._look_later()
 
 
 class _Arriving(_UnidentifiedConnection):
@@ -430,7 +440,7 @@ class _Arriving(_UnidentifiedConnection):
         unidentified: _UnidentifiedConnections,
         arrived: Arrived,
     ) -> None:
-        super().__init__(connection, loop, unidentified, _ARRIVAL_SECONDS)
+        super().__init__(connection, loop, unidentified)
         self._reader = TcprosReader(_MAX_HEADER_OCTETS)
         self._arrived = arrived
 
