@@ -6,7 +6,6 @@ It starts a master, a broker, two cameras and a sensor on loopback, ends by itse
 from __future__ import annotations
 
 import argparse
-import getpass
 import os
 import queue
 import secrets
@@ -84,7 +83,7 @@ class Parts:
             file = self.folder / "mosquitto.conf"
             lines = f"listener {self.broker} 127.0.0.1", "allow_anonymous true", "persistence false"
             # As root it would become another user, and outlive us.
-            user = (f"user {getpass.getuser()}",) if os.geteuid() == 0 else ()
+            user = ("user root",) if os.geteuid() == 0 else ()
             file.write_text("\n".join((*lines, *user)))
             return [mosquitto() or "mosquitto", "-c", str(file)]
         commands: Mapping[str, Sequence[str]] = {
@@ -206,6 +205,9 @@ def main() -> int:
     try:
         with running(alone=options.alone) as parts:
             return show(parts, options.times, options.patience)
+    except TimeoutError as error:
+        print(error, file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         return 130
 

@@ -16,7 +16,9 @@ SCRIPT = Path(__file__).parents[2] / "examples" / "mixed" / "mixed.py"
 @pytest.mark.parametrize("alone", [(), ("--alone",)], ids=["as it comes", "without rospy"])
 def test_the_camera_is_replaced_and_returned_to(alone: tuple[str, ...]) -> None:
     """Where rospy is not installed, both are the same."""
-    done = run_python(SCRIPT, "--times", "1", "--patience", str(patience()), *alone)
+    # USER is what a container or sudo left there, and no user whom the system knows.
+    env = {"USER": "stranger-here", "LOGNAME": "stranger-here"}
+    done = run_python(SCRIPT, "--times", "1", "--patience", str(patience()), *alone, env=env)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith("ROS 1: no rospy here" if alone else "ROS 1: ")
@@ -26,6 +28,13 @@ def test_the_camera_is_replaced_and_returned_to(alone: tuple[str, ...]) -> None:
         "it was started again: ROS 1 is back",
         "all is ended",
     ]
+
+
+def test_what_does_not_come_in_time_is_reported() -> None:
+    done = run_python(SCRIPT, "--patience", "0")
+    assert done.returncode == 1
+    assert done.stderr.endswith(" within 0 s\n")
+    assert "Traceback" not in done.stderr
 
 
 def test_a_signal_ends_every_part() -> None:
