@@ -225,6 +225,35 @@ test("a client that was closed for what it did does not come again", async () =>
   assert.equal(Socket.made.at(-1), socket);
 });
 
+test("a client that is refused for good as it comes again does not come once more", async () => {
+  for (const begins of [0, 1]) {
+    const connecting = connect("ws://x/", { WebSocket: Socket });
+    const first = Socket.made.at(-1);
+    first.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+    const robot = await connecting;
+    if (begins) first.deliver({ op: "Reply", id: "keep", jsonMessage: { key: "key", seconds: 5 } });
+    first.onclose({ code: 1006, reason: "" });
+    const second = Socket.made.at(-1);
+    second.onclose({ code: 1008, reason: "its rights have changed" });
+    await assert.rejects(robot.status(), /connecting again: its rights have changed/);
+    assert.equal(Socket.made.at(-1), second);
+  }
+});
+
+test("a clock that is set meanwhile ends no attempt to connect again", async (context) => {
+  let ahead = 0;
+  const now = Date.now;
+  context.mock.method(Date, "now", () => now() + ahead);
+  const { robot, second } = await dropped(() => { ahead = 1e9; });
+  second.onclose({ code: 1006, reason: "" });
+  while (Socket.made.at(-1) === second) await new Promise(setImmediate);
+  const third = Socket.made.at(-1);
+  third.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  assert.equal(third.sent[0].op, "Resume");
+  third.deliver(RESUMED);
+  robot.close();
+});
+
 test("a server that sends what is no message is left, with the reason", async () => {
   for (const data of ["no JSON", "null", "[".repeat(1e6)]) {
     const connecting = connect("ws://x/", { WebSocket: Socket });

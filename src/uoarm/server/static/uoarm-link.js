@@ -111,6 +111,7 @@ export class Link {
   #timeout;
   #resume;
   #reconnect;
+  #isFinal = false; // whether the last socket was closed for good
   #take;
   #lost;
   #wentOn;
@@ -251,6 +252,7 @@ export class Link {
       };
       socket.onerror = () => fail(new UoarmError("closed", REFUSED));
       socket.onclose = (event) => {
+        this.#isFinal = FINAL.has(event.code);
         if (state === "greeted") this.#closed(event);
         else fail(new UoarmError("closed", event.reason || REFUSED));
       };
@@ -263,26 +265,26 @@ export class Link {
     if (code === DROPPED && this.#key) {
       error = await this.#retry(error, this.#seconds, (timeout) => this.#goOn(timeout));
     }
-    if (error && this.#reconnect && !FINAL.has(code) && !this.#over) error = await this.#beginAnew(error);
+    if (error && this.#reconnect && !this.#isFinal && !this.#over) error = await this.#beginAnew(error);
     if (error) this.#end(error);
   }
 
   /** Try until it is done, for so many seconds; resolves to why it is not, or null. */
-  async #retry(error, seconds, attempt) {
-    const deadline = Date.now() + seconds * 1000;
+  async #retry(error, limit, attempt) {
+    const deadline = seconds() + limit;
     let why = error;
     const trouble = () => `${error.message}; connecting again: ${why.message}`;
     this.trouble = error.message;
-    for (let pause = FIRST_PAUSE; Date.now() < deadline && !this.#over;
+    for (let pause = FIRST_PAUSE; seconds() < deadline && !this.#over;
       pause = Math.min(2 * pause, LONGEST_PAUSE)) {
       try {
-        await attempt(Math.min(this.#timeout, (deadline - Date.now()) / 1000));
+        await attempt(Math.min(this.#timeout, deadline - seconds()));
         this.trouble = "";
         return null;
       } catch (refused) {
         why = refused;
         this.trouble = trouble();
-        if (refused.code !== "closed") break;
+        if (refused.code !== "closed" || this.#isFinal) break;
       }
       await new Promise((wake) => {
         this.#wake = wake;
