@@ -603,6 +603,13 @@ def test_the_scheduler_keeps_no_test_that_is_complete(pytestconfig: pytest.Confi
     ]
 
 
+def test_the_tests_of_a_plugin_have_the_settings_of_all() -> None:
+    """pytest takes those of the first pyproject.toml, upwards, that has any: there is one alone."""
+    settings = list(ROOT.glob("plugins/*/pyproject.toml"))
+    assert len(settings) == len(list(ROOT.glob("plugins/*/src")))
+    assert not [path for path in settings if "[tool.pytest" in path.read_text(encoding="utf-8")]
+
+
 def test_whatever_a_tier_or_a_module_needs_is_known() -> None:
     needed = [*(tier.needs for tier in TIERS), *MODULES.values()]
     assert {name for names in needed for name in names} <= NEEDS.keys()
