@@ -20,23 +20,24 @@ def main() -> int:
     # On loopback there is no one between: whether it answers is all that is asked.
     unverified = ssl.create_default_context()
     unverified.check_hostname, unverified.verify_mode = False, ssl.CERT_NONE
-    problem: object = None
-    for connection in (
-        http.client.HTTPConnection("127.0.0.1", port, timeout=_SECONDS),
-        http.client.HTTPSConnection("127.0.0.1", port, timeout=_SECONDS, context=unverified),
+    problems: list[str] = []
+    here = "127.0.0.1"
+    for name, connection in (
+        ("HTTP", http.client.HTTPConnection(here, port, timeout=_SECONDS)),
+        ("TLS", http.client.HTTPSConnection(here, port, timeout=_SECONDS, context=unverified)),
     ):
         try:
             connection.request("GET", "/healthz")
             status = connection.getresponse().status
         except (OSError, http.client.HTTPException) as error:
-            problem = error
+            problems.append(f"{name}: {error}")
         else:
             if status == _WELL:
                 return 0
-            problem = f"HTTP {status}"
+            problems.append(f"{name}: status {status}")
         finally:
             connection.close()
-    sys.stderr.write(f"the server on port {port} does not answer: {problem}\n")
+    sys.stderr.write(f"the server on port {port} does not answer: {', '.join(problems)}\n")
     return 1
 
 

@@ -146,5 +146,5 @@ def test_the_check_of_health_is_true_of_a_server_with_and_without_tls(serving: A
 def test_the_check_of_health_fails_where_nothing_answers_well(serving: Any) -> None:
     ill = check(serving(Ill))
     assert ill.returncode == 1
-    assert "does not answer" in ill.stderr
+    assert "does not answer: HTTP: status 503, TLS: " in ill.stderr
     assert check(1).returncode == 1
