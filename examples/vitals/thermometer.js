@@ -83,13 +83,13 @@ class StuffedFrames {                      // section 1, serial
 class Thermometer {
   constructor(frames, write, fresh) {
     this.frames = frames; this.write = write; this.fresh = fresh;
-    this.seq = 0; this.place = 'ear'; this.flows = new Set(); this.spoken = Date.now();
+    this.seq = 0; this.place = 'ear'; this.flows = new Set(); this.spoken = performance.now();
     this.timer = setInterval(() => this.tick(), PERIOD);
   }
   say(build) {
     this.write(this.frames.frame(Buffer.from(build(this.seq), 'utf8')));
     this.seq = (this.seq + 1) >>> 0;
-    this.spoken = Date.now();
+    this.spoken = performance.now();
   }
   tick() {
     const seconds = Date.now() / 1000;
@@ -99,7 +99,7 @@ class Thermometer {
         `<number name="temperature">${degrees.toFixed(2)}</number>` +
         `<string name="place">${this.place}</string></data>`);
     }
-    if (Date.now() - this.spoken >= HEARTBEAT) this.say((seq) => `<heartbeat seq="${seq}"/>`);
+    if (performance.now() - this.spoken >= HEARTBEAT) this.say((seq) => `<heartbeat seq="${seq}"/>`);
   }
   take(data) {
     for (const frame of this.frames.feed(data)) this.answer(frame.toString('utf8'));
