@@ -476,6 +476,28 @@ async def test_a_server_that_closes_at_once_has_ended(monkeypatch: pytest.Monkey
                 await client.functions()
 
 
+async def test_a_client_that_is_refused_for_good_as_it_comes_again_comes_no_more() -> None:
+    came: list[ServerConnection] = []
+
+    async def greet(connection: ServerConnection) -> None:
+        came.append(connection)
+        if len(came) > 1:
+            await connection.close(1008, "its rights have changed")
+            return
+        await connection.send(HELLO)
+        await connection.recv()
+        connection.transport.abort()
+
+    protocols = [Subprotocol("uoarm.v1.json")]
+    async with serve(greet, "127.0.0.1", 0, subprotocols=protocols) as server:
+        url = f"ws://127.0.0.1:{next(iter(server.sockets)).getsockname()[1]}/"
+        async with connect(url, binary=False, reconnect=1e9) as client:
+            cause = await asyncio.wait_for(client.ended(), patience())
+    assert "connecting again failed" in cause
+    assert cause.endswith("its rights have changed")
+    assert len(came) == 2
+
+
 FORKED = """
 import asyncio, sys
 from uoarm.client import connect

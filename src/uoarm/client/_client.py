@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from typing import Any, TypeAlias, final, overload
 
 from attrs import fields_dict, frozen
@@ -18,7 +18,7 @@ from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.bridge import boot_seconds
 from uoarm.client._answers import NOTICES, checked, checked_answer, error_of, merged_status
-from uoarm.client._link import Link, Open
+from uoarm.client._link import CONNECTING_ERRORS, Link, Open
 from uoarm.client._questions import ServerQuestions, ThreadAnswer
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, find_trouble
@@ -28,6 +28,7 @@ _DIAGNOSIS_SECONDS = 1.0
 _EVENT = fields_dict(StatusEvent)
 # What may be asked once more where a drop took the question or its answer.
 _REPEATABLE = frozenset({"Kill", "List", "Resolve"})
+_FIRST = "Stop"  # it waits for nothing that was sent before
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
 
 
@@ -53,6 +54,7 @@ class RemoteRobot(ServerQuestions):
         answer: float = 120.0,
         place: str = "the server",
     ) -> None:
+        self._opening = opening
         self._answer_seconds = answer
         self.hello: Mapping[str, Any] = {}
         self._form = form
@@ -347,6 +349,8 @@ class RemoteRobot(ServerQuestions):
             ConnectionClosedError: the connection has ended for good; so does one over which
                 something comes that the protocol does not have.
         """
+        if op == _FIRST and not kind and self._link.holds_up:
+            return await self._ask_apart(op, kind, more)
         while True:
             before = self.resumed, self.restarts
             try:
@@ -355,6 +359,18 @@ class RemoteRobot(ServerQuestions):
                 was_dropped = before[0] < self.resumed and before[1] == self.restarts
                 if op not in _REPEATABLE or not was_dropped or self._link.closed:
                     raise
+
+    async def _ask_apart(self, op: str, kind: str, more: Mapping[str, Any]) -> Any:
+        """Ask over a connection of its own, as this one waits until the server has read."""
+        other = RemoteRobot(
+            self._opening, self._form, answer=self._answer_seconds, place=self._link.place
+        )
+        async with AsyncExitStack() as stack:
+            try:
+                await stack.enter_async_context(other.running(resume=False))
+            except CONNECTING_ERRORS:
+                return await self._ask(op, kind, None, more)
+            return await other.ask(op, kind, **more)
 
     async def _ask(
         self, op: str, kind: str, renewed: RemoteStream[Any] | None, more: Mapping[str, Any]

@@ -32,6 +32,7 @@ from uoarm.model import BudgetUse
 
 # What reading a message raises that is none, or lacks what the protocol says it has.
 _STRANGE = (ControlMessageError, AttributeError, LookupError, TypeError, ValueError)
+CONNECTING_ERRORS = (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError)
 _KEEP, _RESUME = "keep", "resume"
 _MOST_WAITING = 4096
 _LONGEST_KEPT = 3600.0  # seconds for which a server is believed to keep a session
@@ -224,7 +225,7 @@ class Link:
         try:
             await self._socket.hand_over(self._take_frame)
         except ConnectionClosed as error:
-            self._is_final = error.rcvd is not None and error.rcvd.code in _FINAL
+            self._is_final = _is_for_good(error)
             if error.rcvd is not None or not self._key:
                 return f"the connection to {self.place} ended: {error}"
             cause = f"the connection to {self.place} dropped: {error.__cause__ or error}"
@@ -287,11 +288,10 @@ class Link:
         while loop.time() < deadline:
             try:
                 refused = await result_within(deadline - loop.time(), attempt())
-            except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
+            except CONNECTING_ERRORS as error:
                 why = self.trouble = f"{cause}; connecting again failed: {error}"
-                if isinstance(error, InvalidStatus) and (
-                    error.response.status_code not in _TRY_AGAIN
-                ):
+                if _is_for_good(error):
+                    self._is_final = True
                     return why
                 failed += 1
                 await asyncio.sleep(self._backoff.pause(failed))
@@ -354,6 +354,17 @@ class Link:
 
     async def _write(self, socket: ClientSocket, fields: Mapping[str, Any]) -> None:
         await socket.send(self._form.write(fields), text=self._form.text)
+
+
+def _is_for_good(error: Exception) -> bool:
+    """Whether a server that ended or refused a connection would do so again."""
+    if isinstance(error, InvalidStatus):
+        return error.response.status_code not in _TRY_AGAIN
+    return (
+        isinstance(error, ConnectionClosed)
+        and error.rcvd is not None
+        and (error.rcvd.code in _FINAL)
+    )
 
 
 def _timed(identity: str) -> dict[str, Any]:
