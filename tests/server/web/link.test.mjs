@@ -254,6 +254,32 @@ test("a clock that is set meanwhile ends no attempt to connect again", async (co
   robot.close();
 });
 
+test("a stop waits for nothing that was sent before", async () => {
+  const connecting = connect("ws://x/", { WebSocket: Socket });
+  const first = Socket.made.at(-1);
+  first.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  first.bufferedAmount = 1e6;
+  for (const isRefused of [false, true]) {
+    const stopping = robot.stopAll();
+    const second = Socket.made.at(-1);
+    assert.notEqual(second, first);
+    if (isRefused) second.onerror();
+    else second.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+    await new Promise(setImmediate);
+    const asked = isRefused ? first : second;
+    const { op, id } = asked.sent.at(-1);
+    assert.equal(op, "Stop");
+    asked.deliver({ op: "Reply", id, jsonMessage: { stopped: true, inputs: [], text: "" } });
+    assert.equal((await stopping).stopped, true);
+    assert(second.closed);
+  }
+  first.bufferedAmount = 100;
+  robot.stopAll().catch(() => {});
+  assert.equal(first.sent.at(-1).op, "Stop");
+  robot.close();
+});
+
 test("a server that sends what is no message is left, with the reason", async () => {
   for (const data of ["no JSON", "null", "[".repeat(1e6)]) {
     const connecting = connect("ws://x/", { WebSocket: Socket });

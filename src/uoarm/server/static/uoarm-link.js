@@ -8,6 +8,7 @@ const ALIVE = "alive";
 const LOOK = 5000;
 const MOST_SILENCE = 6; // looks without a message, after which the connection is given up
 const MOST_WAITING = 4096;
+const MUCH = 65536; // octets that the network has not taken
 const LONGEST_KEPT = 3600; // seconds for which a server is believed to keep a session
 const LONGEST_TIMER = 2 ** 31 - 1; // of more milliseconds it ends at once
 const FIRST_PAUSE = 50;
@@ -177,6 +178,11 @@ export class Link {
     }
     this.#leave(socket);
     this.#closed({ code: DROPPED, reason: `nothing came for ${(MOST_SILENCE * LOOK) / 1000} s` });
+  }
+
+  /** Whether `send` waits now, behind much that was sent before. */
+  get holdsUp() {
+    return this.#socket?.bufferedAmount > MUCH;
   }
 
   /** Take nothing more of a socket. */

@@ -407,12 +407,14 @@ export class Robot {
   #ended = null;
   #answer;
   #place;
+  #another;
   #abandoned = new Set(); // Requests without an answer in time: what they open is given back
 
   constructor({ answer, place = "the server", ...options }) {
     this.hello = null;
     this.#answer = answer;
     this.#place = place;
+    this.#another = () => new Robot({ answer, place, ...options, resume: false, reconnect: 0 });
     this.#link = new Link({
       ...options,
       place,
@@ -519,7 +521,14 @@ export class Robot {
 
   /** Stop everything that moves, until `release`: `stopped`, `inputs`, `text`; needs `stop`. */
   async stopAll() {
-    return this.#ask({ op: "Stop" });
+    // It waits for nothing that was sent before.
+    const other = this.#link.holdsUp ? await this.#another().start().catch(() => null) : null;
+    if (!other) return this.#ask({ op: "Stop" });
+    try {
+      return await other.stopAll();
+    } finally {
+      other.close();
+    }
   }
 
   /** Let commands through again; needs the right `release`. */
