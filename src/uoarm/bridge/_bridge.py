@@ -11,7 +11,7 @@ from functools import partial
 from typing import TypeVar, final
 
 from uoarm._forks import generation
-from uoarm._raised import foreign, on_failure
+from uoarm._raised import foreign
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import Delivery, Gate, translated
@@ -181,7 +181,7 @@ class Bridge(BridgeSteps):
             BridgeTimeoutError: not open within `timeout` seconds; what opens later is closed.
         """
         gate = Gate(deliver)
-        with on_failure(gate.shut):
+        try:
             return self._opened(
                 Source,
                 BoundedStep("opening ", endpoint),
@@ -191,6 +191,9 @@ class Bridge(BridgeSteps):
                 on_late,
                 is_quick=self.is_quick(endpoint),
             )
+        except BaseException:
+            gate.shut()
+            raise
 
     @final
     def open_sink(

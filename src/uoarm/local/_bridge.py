@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from attrs import define, field, frozen
 
-from uoarm._raised import LimitedLog, contained, foreign, on_failure, sentence_of, text_of
+from uoarm._raised import LimitedLog, contained, foreign, sentence_of, text_of
 from uoarm._support.workers import WorkerPool
 from uoarm.bridge import (
     Bridge,
@@ -199,8 +199,11 @@ class PythonBridge(Bridge):
         target = self._of_address(endpoint.address)
         port = target.port(endpoint)
         slot, instance = self._enter(endpoint, target)
-        with on_failure(self._leave, slot):
+        try:
             source = None if port.takes_messages else instance.source(port)
+        except BaseException:
+            self._leave(slot)
+            raise
 
         def leave() -> None:
             if source is not None:
@@ -211,15 +214,21 @@ class PythonBridge(Bridge):
         channel = Source(endpoint, leave)
         instance.add_receiver(endpoint.port, channel, deliver)
         if source is not None:
-            with on_failure(leave):
+            try:
                 source.add_listener(channel, lambda failure: self._ended(channel, failure))
+            except BaseException:
+                leave()
+                raise
         return channel
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
         slot, instance = self._enter(endpoint, self._of_address(endpoint.address))
-        with on_failure(self._leave, slot):
+        try:
             take = instance.feed(endpoint)
+        except BaseException:
+            self._leave(slot)
+            raise
         return Sink(endpoint, take, lambda: self._leave(slot))
 
     def _is_quick(self, endpoint: Endpoint) -> bool:
@@ -283,12 +292,16 @@ class PythonBridge(Bridge):
             slot.users += 1
             if slot.instance is not None:  # it stays what it is
                 return slot, slot.instance
-        with on_failure(self._leave, slot), slot.building:
-            if slot.instance is None:
-                self._close_before(slot)
-                coroutines = Coroutines(self._loop, self._handler_seconds)
-                slot.instance = Instance(target, endpoint.parameters, coroutines, self._workers)
-            return slot, slot.instance
+        try:
+            with slot.building:
+                if slot.instance is None:
+                    self._close_before(slot)
+                    coroutines = Coroutines(self._loop, self._handler_seconds)
+                    slot.instance = Instance(target, endpoint.parameters, coroutines, self._workers)
+                return slot, slot.instance
+        except BaseException:
+            self._leave(slot)
+            raise
 
     def _close_before(self, slot: _Slot) -> None:
         """Have what died let go of what it holds, which the new instance may need."""
