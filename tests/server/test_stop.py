@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 import json
 import logging
 import threading
-from collections.abc import AsyncIterator, Iterator
-from contextlib import ExitStack, asynccontextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
 import pytest
 from click.testing import CliRunner
-from tests.server.conftest import Serve
+from tests.server.conftest import Between, Serve
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
@@ -295,54 +294,18 @@ def test_what_clients_move_stops_before_a_server_that_ends_waits_for_them(
     assert set(refused) == {"closed"}
 
 
-@asynccontextmanager
-async def relayed(port: int, stalled: asyncio.Event) -> AsyncIterator[int]:
-    """Relay to a port, but nothing more of the first client's once it is stalled."""
-    clients = itertools.count()
-
-    async def pump(
-        reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, stalls: bool
-    ) -> None:
-        while data := await reader.read(65_536):
-            if stalls and stalled.is_set():
-                await asyncio.Event().wait()
-            writer.write(data)
-            await writer.drain()
-
-    async def relay(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        stalls = not next(clients)
-        from_server, to_server = await asyncio.open_connection("127.0.0.1", port)
-        ways.append(asyncio.ensure_future(pump(reader, to_server, stalls=stalls)))
-        ways.append(asyncio.ensure_future(pump(from_server, writer, stalls=False)))
-        writers.extend((writer, to_server))
-
-    ways, writers = list[asyncio.Future[None]](), list[asyncio.StreamWriter]()
-    relaying = await asyncio.start_server(relay, "127.0.0.1", 0)
-    async with relaying:
-        yield int(relaying.sockets[0].getsockname()[1])
-        for writer in writers:
-            writer.transport.abort()
-        for way in ways:
-            way.cancel()
-        await asyncio.gather(*ways, return_exceptions=True)
-
-
 async def test_a_stop_waits_for_nothing_that_its_client_sent_before(
-    robot: RobotManager, base: Taker
+    serve: Serve, between: Between, base: Taker
 ) -> None:
-    stalled = asyncio.Event()
-    with serve_in_thread(robot, ServerOptions(port=0)) as server:
-        async with (
-            relayed(server.ports[0], stalled) as port,
-            connect(f"ws://127.0.0.1:{port}/", resume=False) as client,
-        ):
-            drive = await client.request("drive")
-            await drive.send(5)
-            stalled.set()
-            large = asyncio.ensure_future(client.call("hang", "x" * 8_000_000))
-            while not client._link.holds_up:  # noqa: ASYNC110 - a socket has no event of it
-                await asyncio.sleep(0)
-            report = await asyncio.wait_for(client.stop_all(), patience())
-            large.cancel()
-            client.drop()
+    proxy = between(serve())
+    async with connect(f"ws://127.0.0.1:{proxy.port}/", resume=False) as client:
+        drive = await client.request("drive")
+        await drive.send(5)
+        proxy.jam(to_server=True)
+        large = asyncio.ensure_future(client.call("hang", "x" * 8_000_000))
+        while not client._link.holds_up:  # noqa: ASYNC110 - a socket has no event of it
+            await asyncio.sleep(0)
+        report = await asyncio.wait_for(client.stop_all(), patience())
+        large.cancel()
+        client.drop()
     assert (report["stopped"], base.taken.messages) == (True, [5, 0])

@@ -144,10 +144,13 @@ class Proxy:
             self._do(setattr, client, "held", to_server)
             self._do(setattr, backend, "held", to_client)
 
-    def jam(self) -> None:
-        """Take nothing more from the server, so that it cannot write on."""
-        for _, backend in list(self._pairs):
-            self._do(backend.pause)
+    def jam(self, *, to_server: bool = False) -> None:
+        """Take nothing more from the server, or from clients, so that they cannot write on.
+
+        Of the connections that there are: those that come later pass.
+        """
+        for client, backend in list(self._pairs):
+            self._do(client.pause if to_server else backend.pause)
 
     def _do(self, action: Any, *arguments: Any) -> None:
         async def act() -> None:
