@@ -128,7 +128,9 @@ class Peer:
 
     def _answer(self) -> dict[str, Any]:
         answer = self._answers.get(timeout=8 * patience())  # the peer has the limits itself
-        assert answer is not None, "the peer process ended"
+        if answer is None:
+            self._answers.put(None)  # for the next that asks
+            raise AssertionError(f"the peer has ended with {self._process.wait(patience())}")
         assert "failed" not in answer, answer
         return answer
 
