@@ -7,6 +7,7 @@ is free, and gives a box that a dead vehicle had to another one.
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -32,7 +33,7 @@ _PORTS = (9410, 9411, 9412)
 def vehicle(name: str, port: int) -> Iterator[subprocess.Popen[bytes]]:
     """Serve a vehicle on a port until the end of a block."""
     command = [sys.executable, "-m", "uoarm", "serve", "vehicle.yaml", "--port", str(port)]
-    if sys.platform == "linux":  # whose kernel then ends it when the desk is killed
+    if shutil.which("setpriv") is not None:  # the kernel then ends it when the desk is killed
         command[:0] = ["setpriv", "--pdeathsig", "TERM"]
     environment = {**os.environ, "VEHICLE": name}
     with subprocess.Popen(command, cwd=HERE, env=environment, stdout=subprocess.PIPE) as process:
