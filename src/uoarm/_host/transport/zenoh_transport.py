@@ -248,7 +248,13 @@ class ZenohTransport(Transport):
             )
 
     def publish(
-        self, key: str, payload: bytes, header: bytes, *, must_arrive: bool = False
+        self,
+        key: str,
+        payload: bytes,
+        header: bytes,
+        *,
+        must_arrive: bool = False,
+        priority: zenoh.Priority = zenoh.Priority.DATA,
     ) -> None:
         """Send one frame; with `must_arrive`, a link that stays full for 5 s is broken."""
         with _wrapped(f"sending to {key}"):
@@ -257,6 +263,7 @@ class ZenohTransport(Transport):
                 payload,
                 attachment=header,
                 congestion_control=_BLOCK if must_arrive else _DROP,
+                priority=priority,
             )
 
     def subscribe(
@@ -292,14 +299,7 @@ class ZenohTransport(Transport):
 
     def notify(self, key: str, header: bytes) -> None:
         """Send a header to who listens at a key."""
-        with _wrapped(f"sending to {key}"):
-            self._session.put(
-                self._prefix + key,
-                b"",
-                attachment=header,
-                congestion_control=_BLOCK,
-                priority=_AHEAD,
-            )
+        self.publish(key, b"", header, must_arrive=True, priority=_AHEAD)
 
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
         """Have headers that are sent to a key handed to `take`, in Zenoh's thread."""
