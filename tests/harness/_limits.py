@@ -80,12 +80,12 @@ _CONSTANTS = {
 }
 
 
+_WORKERS = "uoarm._support.workers"
 # A worker thread of what a fixture of several tests holds waits that long for the next call: the
 # check of what a test left behind waits for its end.
-_POOLS = {"uoarm._support.workers": "WorkerPool", "uoarm.server.streams._workers": "TurnPool"}
 _IDLE_SECONDS = 0.1
 
-LIMITED = frozenset({*_POOLS, *_CONSTANTS, *_LIMITS})
+LIMITED = frozenset({_WORKERS, *_CONSTANTS, *_LIMITS})
 """The modules that have such limits."""
 
 
@@ -129,8 +129,8 @@ class LongLimits:
         return spec
 
     def _lengthen(self, module: ModuleType) -> None:
-        if (pool := _POOLS.get(module.__name__)) is not None:
-            _set_default(getattr(module, pool).__init__, "idle_seconds", _IDLE_SECONDS)
+        if module.__name__ == _WORKERS:
+            _set_default(module.WorkerPool.__init__, "idle_seconds", _IDLE_SECONDS)
         for constant in _CONSTANTS.get(module.__name__, ()):
             assert isinstance(getattr(module, constant), float)
             setattr(module, constant, self._seconds)

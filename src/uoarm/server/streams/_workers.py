@@ -193,14 +193,12 @@ class TurnPool:
         name: of the threads.
         limit: jobs under way, where no client needs its share of them; twice as many at most.
         mailbox: brings results back into the loop.
-        idle_seconds: how long a thread waits for the next job.
+        pool: more for the `WorkerPool`.
     """
 
-    def __init__(
-        self, name: str, limit: int, mailbox: LoopMailbox, *, idle_seconds: float = 10.0
-    ) -> None:
+    def __init__(self, name: str, limit: int, mailbox: LoopMailbox, **pool: Any) -> None:
         self._mailbox = mailbox
-        self._pool = WorkerPool(name, 2 * limit, idle_seconds=idle_seconds)
+        self._pool = WorkerPool(name, 2 * limit, **pool)
         self._taken = Shares(limit)
         self._turns = ThreadTurns(2 * limit)
         self._waiting: dict[Hashable, deque[Callable[[], None]]] = {}
