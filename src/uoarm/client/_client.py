@@ -350,7 +350,7 @@ class RemoteRobot(ServerQuestions):
                 something comes that the protocol does not have.
         """
         if op == _FIRST and not kind and self._link.holds_up:
-            return await self._ask_apart(op, kind, more)
+            return await self._ask_apart(op, more)
         while True:
             before = self.resumed, self.restarts
             try:
@@ -360,7 +360,7 @@ class RemoteRobot(ServerQuestions):
                 if op not in _REPEATABLE or not was_dropped or self._link.closed:
                     raise
 
-    async def _ask_apart(self, op: str, kind: str, more: Mapping[str, Any]) -> Any:
+    async def _ask_apart(self, op: str, more: Mapping[str, Any]) -> Any:
         """Ask over a connection of its own, as this one waits until the server has read."""
         other = RemoteRobot(
             self._opening, self._form, answer=self._answer_seconds, place=self._link.place
@@ -369,8 +369,8 @@ class RemoteRobot(ServerQuestions):
             try:
                 await stack.enter_async_context(other.running(resume=False))
             except CONNECTING_ERRORS:
-                return await self._ask(op, kind, None, more)
-            return await other.ask(op, kind, **more)
+                return await self._ask(op, "", None, more)
+            return await other.ask(op, **more)
 
     async def _ask(
         self, op: str, kind: str, renewed: RemoteStream[Any] | None, more: Mapping[str, Any]

@@ -361,9 +361,7 @@ def _is_for_good(error: Exception) -> bool:
     if isinstance(error, InvalidStatus):
         return error.response.status_code not in _TRY_AGAIN
     return (
-        isinstance(error, ConnectionClosed)
-        and error.rcvd is not None
-        and (error.rcvd.code in _FINAL)
+        isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code in _FINAL
     )
 
 
