@@ -128,7 +128,9 @@ class Browser:
         ]
         if len(others) < len(self.complaints):
             self.complaints[:] = others
-            self.command("Page.reload")
+            # `Page.reload` returns while the old document still answers: what it is given is lost.
+            history = self.command("Page.getNavigationHistory")
+            self.go(history["entries"][history["currentIndex"]]["url"])
 
     def go(self, url: str) -> None:
         self.command("Page.navigate", url="about:blank")
