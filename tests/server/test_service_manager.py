@@ -176,10 +176,23 @@ def test_what_the_alert_of_a_lost_component_asks_for_rises(
 ) -> None:
     rules = yaml.safe_load((DEPLOY / "prometheus-alerts.yaml").read_text(encoding="utf-8"))
     [rule] = [rule for rule in rules["groups"][0]["rules"] if rule["alert"] == "RobotComponentLost"]
-    [name] = re.findall(r"\buoarm_\w+", rule["expr"])
+    [name] = {*re.findall(r"\buoarm_\w+", rule["expr"])}
     with robot.request("numbers") as numbers:
         assert f'{name}{{component="numbers"}} 0.0' in figures(server)
         script.put(OSError("unplugged"))
         with pytest.raises(ConnectionClosedError, match="unplugged"):
             numbers.get(patience())
     wait(lambda: f'{name}{{component="numbers"}} 1.0' in figures(server))
+
+
+def test_an_alert_on_what_a_thing_counts_is_raised_by_a_count_that_was_never_seen_at_0() -> None:
+    """What was opened and lost between two looks: `increase` sees nothing of a first value."""
+    rules = yaml.safe_load((DEPLOY / "prometheus-alerts.yaml").read_text(encoding="utf-8"))
+    increases = [rule for rule in rules["groups"][0]["rules"] if "increase(" in rule["expr"]]
+    for rule in increases:
+        found = re.match(r"increase\((\w+)\[(\w+)\]\) (> \d+)", rule["expr"])
+        assert found, rule
+        name, span, beyond = found.groups()
+        if not name.startswith("uoarm_serve_"):  # those begin with the server
+            first = f"or ({name} {beyond} unless {name} offset {span})"
+            assert rule["expr"] == f"{found[0]} {first}"
