@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import http.client
 import os
+import re
 import ssl
 import sys
 
 _SECONDS = 2.0
 _WELL = 200
+_LAST_PORT = 65535
 
 
 def main() -> int:
     """Ask once; returns the exit status."""
-    port = int(os.environ.get("UOARM_PORT", "9080"))
+    given = os.environ.get("UOARM_PORT", "9080")
+    if not re.fullmatch("[0-9]{1,5}", given) or not 0 < (port := int(given)) <= _LAST_PORT:
+        sys.stderr.write(f"UOARM_PORT: expected a port, 1 to {_LAST_PORT}, got {given!r}\n")
+        return 1
     # On loopback there is no one between: whether it answers is all that is asked.
     unverified = ssl.create_default_context()
     unverified.check_hostname, unverified.verify_mode = False, ssl.CERT_NONE

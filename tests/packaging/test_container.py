@@ -131,7 +131,7 @@ def serving() -> Iterator[Any]:
         thread.join()
 
 
-def check(port: int) -> subprocess.CompletedProcess[str]:
+def check(port: int | str) -> subprocess.CompletedProcess[str]:
     return run_python(DEPLOY / "healthcheck.py", env={"UOARM_PORT": str(port)})
 
 
@@ -148,3 +148,10 @@ def test_the_check_of_health_fails_where_nothing_answers_well(serving: Any) -> N
     assert ill.returncode == 1
     assert "does not answer: HTTP: status 503, TLS: " in ill.stderr
     assert check(1).returncode == 1
+
+
+@pytest.mark.parametrize("port", ["http", "", "0", "65536"])
+def test_the_check_of_health_refuses_what_is_no_port(port: str) -> None:
+    refused = check(port)
+    assert refused.returncode == 1
+    assert refused.stderr == f"UOARM_PORT: expected a port, 1 to 65535, got '{port}'\n"
