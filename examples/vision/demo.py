@@ -31,6 +31,8 @@ def main() -> int:
     except ModuleNotFoundError as error:
         print(f"{error.name} is not installed: pip install '.[vision-lbph,vision-dlib]'")
         return 2
+    except KeyboardInterrupt:
+        return 130
     cache = Path(os.environ.get("UOARM_CACHE", ROOT / ".cache")) / "vision"
     console = Console(stderr=options.json)
     try:

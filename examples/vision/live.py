@@ -37,14 +37,14 @@ def main() -> int:
 
         console = Console()
         serve(options.port, console)
+    except KeyboardInterrupt:  # also as it imports: what the last clause names is not there then
+        print("interrupted")
     except ModuleNotFoundError as error:
         print(f"{error.name} is not installed: `make live` installs what it needs")
         return 2
     except (FootageError, UoarmError, OSError, OverflowError) as error:
         console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
         return 2
-    except KeyboardInterrupt:
-        print("interrupted")
     return 0
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from live import RATE, endless
 from rich.console import Console
+from tests.processes import run_python
 from uoarm_vision.messages import Frame
 
 from uoarm import RobotManager
@@ -30,6 +31,18 @@ def test_an_interrupt_before_it_serves_ends_it_as_one_afterwards_does(
     monkeypatch.setattr(live, "serve", interrupted)
     monkeypatch.setattr(sys, "argv", ["live.py"])
     assert live.main() == 0
+
+
+@pytest.mark.parametrize(("program", "code"), [("live.py", 0), ("demo.py", 130)])
+def test_an_interrupt_while_it_imports_shows_no_traceback(
+    program: str, code: int, tmp_path: Path
+) -> None:
+    package = tmp_path / "rich"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "console.py").write_text("raise KeyboardInterrupt")
+    done = run_python(EXAMPLE.parent / program, env={"PYTHONPATH": str(tmp_path)})
+    assert (done.returncode, done.stderr) == (code, "")
 
 
 def test_a_port_that_is_none_is_reported(
