@@ -68,7 +68,7 @@ class Reader(Subscription):
         self.outbox = Outbox(10**6, 10, self.account)
         self.took: list[int | str] = []
         self.threads: list[threading.Thread] = []
-        form = MessageForm("one form", self._form, text=True, frames=self._take)
+        form = MessageForm("one form", self._write_number, text=True, frames=self._take)
         super().__init__(self, form, on_refused=lambda _: None, on_end=self._ended)
 
     def offer(self, envelope: Envelope) -> None:
@@ -77,7 +77,7 @@ class Reader(Subscription):
         if self.lane.dropped > lost:
             self.took.append(envelope.number)
 
-    def _form(self, number: int, message: Message) -> bytes:
+    def _write_number(self, number: int, message: Message) -> bytes:
         self.threads.append(threading.current_thread())
         if isinstance(message, list) and message[-1] is LOST:
             raise SystemExit("it has no form")

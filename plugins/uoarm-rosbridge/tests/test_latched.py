@@ -48,6 +48,20 @@ def test_a_second_subscriber_gets_the_last_of_each_writer_at_any_rate(
     assert second.messages(2) == [{"data": 1}, {"data": 2}]
 
 
+def test_a_second_subscription_of_a_client_gets_what_stands(
+    enter: Enter, latched: tuple[MemoryBridge, Emitter]
+) -> None:
+    client, publisher = enter(), enter()
+    latched[1].emit({"data": 0}, "a")
+    publisher.send(op="publish", topic="/map", type="a/Map", latch=True, msg={"data": 0})
+    publisher.call("/rosapi/get_time")
+    for topic in ("/uoarm/map", "/map"):
+        for identity in ("1", "2"):
+            client.send(op="subscribe", id=identity, topic=topic)
+            assert client.messages(1) == [{"data": 0}]
+    client.call("/rosapi/get_time")
+
+
 def test_what_clients_latched_stands_for_each_of_them(enter: Enter) -> None:
     publishers, seen, late, after = (enter(), enter()), enter(), enter(), enter()
     seen.send(op="subscribe", topic="/tf_static", type="a/Tf")
@@ -55,7 +69,7 @@ def test_what_clients_latched_stands_for_each_of_them(enter: Enter) -> None:
         publisher.send(op="advertise", topic="/tf_static", type="a/Tf", latch=True)
         publisher.send(op="publish", topic="/tf_static", msg={"data": number})
         assert seen.messages(1) == [{"data": number}]  # it waited for the type
-    late.send(op="subscribe", topic="/tf_static")
+    late.send(op="subscribe", topic="/tf_static", throttle_rate=60_000)
     assert late.messages(2) == [{"data": 0}, {"data": 1}]
     publishers[0].send(op="unadvertise", topic="/tf_static")
     publishers[0].call("/rosapi/get_time", {})

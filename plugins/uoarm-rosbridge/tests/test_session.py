@@ -544,6 +544,52 @@ def test_subscriptions_end_by_id(enter: Enter, robot: RobotManager) -> None:
     opened(robot, 0)
 
 
+def test_the_densest_compression_that_is_asked_for_holds(enter: Enter, robot: RobotManager) -> None:
+    client, topic = enter(), "/uoarm/picture"
+    client.send(op="subscribe", id="none", topic=topic)
+    client.send(op="subscribe", id="cbor", topic=topic, compression="cbor")
+    opened(robot, 1)
+    message = {"width": 1, "data": bytes(300)}
+
+    def received() -> dict[str, Any]:
+        client.call("/rosapi/get_time")  # what was sent before has its effect
+        script.put(message)
+        return client.receive()
+
+    dense = {"op": "publish", "topic": topic, "msg": message}
+    assert received() == dense
+    client.send(op="subscribe", id="png", topic=topic, compression="png")
+    assert received() == dense
+    client.send(op="unsubscribe", id="cbor", topic=topic)
+    text = {"width": 1, "data": base64.b64encode(bytes(300)).decode()}
+    assert unpacked(received())["msg"] == text
+    client.send(op="unsubscribe", id="png", topic=topic)
+    assert received() == dense | {"msg": text}
+
+
+def test_the_shortest_fragments_that_are_asked_for_come(enter: Enter, robot: RobotManager) -> None:
+    client = enter()
+    for identity, size in (("1", 0), ("2", 100), ("3", 200)):
+        client.send(op="subscribe", id=identity, topic="/uoarm/picture", fragment_size=size)
+    opened(robot, 1)
+    client.call("/rosapi/get_time")
+    script.put({"width": 1, "data": bytes(300)})
+    assert len(client.receive()["data"]) == 100
+
+
+@pytest.mark.parametrize("topic", ["/chatter", "/uoarm/navigate/status"])
+def test_a_compression_that_is_refused_leaves_the_others(
+    enter: Enter, robot: RobotManager, topic: str
+) -> None:
+    client = enter()
+    client.send(op="subscribe", id="1", topic=topic)
+    client.call("/rosapi/get_time")
+    text = client.refused(op="subscribe", id="2", topic=topic, compression="cbor-raw")
+    assert "ask for cbor instead of cbor-raw" in text
+    client.send(op="unsubscribe", id="1", topic=topic)
+    opened(robot, 0)
+
+
 def test_fragments_both_ways(enter: Enter, robot: RobotManager) -> None:
     client = enter()
     client.send(op="subscribe", topic="/uoarm/picture", fragment_size=100)

@@ -124,7 +124,9 @@ class Latched:
 
     def offer(self, listener: Listener) -> None:
         """Hand it to a listener; its written forms are kept where the publisher has room."""
+        self.envelope.joiner = listener  # in this call: what stands has no part in its rate
         listener.offer(self.envelope)
+        self.envelope.joiner = None
         self.charge.resize(self.envelope.octets)
         if not self.account.has_room(0):
             self.envelope.forget_written()

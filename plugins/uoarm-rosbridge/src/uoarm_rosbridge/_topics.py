@@ -91,7 +91,7 @@ class RawWriter:
 
 _RAW = "cbor-raw"
 _TEXTS = {"none": write_publish, "png": write_publish_png}
-_COMPRESSIONS = (*_TEXTS, "cbor", _RAW)
+_COMPRESSIONS = (*_TEXTS, "cbor", _RAW)  # of several subscriptions the last one holds
 _MOST = 100_000
 
 
@@ -138,12 +138,13 @@ def read_options(fields: Mapping[str, Any]) -> SubscribeOptions:
 class RosbridgeSubscription(Subscription):
     """The subscription of one client to one topic, as its subscribe messages together ask.
 
-    The highest rate and the longest queue hold; the compression is that of the first.
+    The highest rate, the longest queue, the shortest fragments and the densest compression hold.
 
     Args:
         topic: as the client named it.
         kind: of the topic's messages.
-        options: of the first subscribe message.
+        identity: of the first subscribe message.
+        options: of that message.
         client: who listens.
         structure: says what the messages are like, for `cbor-raw`.
         on_refused: called once with each reason for which a message could not be written.
@@ -154,6 +155,7 @@ class RosbridgeSubscription(Subscription):
         self,
         topic: str,
         kind: TopicType,
+        identity: str,
         options: SubscribeOptions,
         client: Client,
         *,
@@ -162,27 +164,22 @@ class RosbridgeSubscription(Subscription):
         on_end: Callable[[str, str], None],
     ) -> None:
         self.kind = kind
-        self.asked: dict[str, SubscribeOptions] = {}
-        self._raw = RawWriter(topic, structure) if options.compression == _RAW else None
-        write = _TEXTS.get(options.compression, write_publish_cbor)
-        text = options.compression in _TEXTS
-        pieces = partial(_pieces, topic, options.fragment)
-        form = MessageForm(
-            f"ros-{options.compression}:{topic}",
-            self._raw or partial(write, topic),
-            text,
-            frames=pieces if text and options.fragment else None,
-        )
+        self.asked = {identity: options}
+        self._topic = topic
+        self._raw = RawWriter(topic, structure)
         throttle = Throttle(options.every, is_even=False)
-        super().__init__(client, form, throttle=throttle, on_refused=on_refused, on_end=on_end)
+        super().__init__(
+            client, self._form_asked(), throttle=throttle, on_refused=on_refused, on_end=on_end
+        )
+        self._settle()
 
-    def check_form(self) -> None:
-        """Make ready for messages, whose structure is known now.
+    def check_form(self, options: SubscribeOptions) -> None:
+        """Refuse a wish for messages, whose structure is known now.
 
         Raises:
-            MessageError: they have no form in the compression that was asked for.
+            MessageError: they have no form in the compression that it asks for.
         """
-        if self._raw is not None:
+        if options.compression == _RAW:
             self._raw.prepare()
 
     def set_options(self, identity: str, options: SubscribeOptions) -> None:
@@ -196,13 +193,29 @@ class RosbridgeSubscription(Subscription):
             self.asked.clear()
         else:
             self.asked.pop(identity, None)
-        self._settle()
+        if self.asked:
+            self._settle()
         return not self.asked
 
     def _settle(self) -> None:
         asked = self.asked.values()
-        every = min((options.every for options in asked), default=0.0)
-        self.set_rate(every, max((options.length for options in asked), default=0))
+        self.set_rate(
+            min(options.every for options in asked), max(options.length for options in asked)
+        )
+        self.set_form(self._form_asked())
+
+    def _form_asked(self) -> MessageForm:
+        asked = self.asked.values()
+        compression = max((options.compression for options in asked), key=_COMPRESSIONS.index)
+        fragment = min((options.fragment for options in asked if options.fragment), default=0)
+        text = compression in _TEXTS
+        write = _TEXTS.get(compression, write_publish_cbor)
+        return MessageForm(
+            f"ros-{compression}:{self._topic}",
+            self._raw if compression == _RAW else partial(write, self._topic),
+            text,
+            frames=partial(_pieces, self._topic, fragment) if text and fragment else None,
+        )
 
 
 def _pieces(topic: str, size: int, frame: bytes, number: int) -> list[bytes]:
@@ -303,18 +316,27 @@ class Topics:
         stated = _identity(fields)
         identity = place.name if stated is None else stated
         subscription = self._subscriptions.get(fields["topic"])
-        if subscription is not None:
-            self._check_type(place, subscription.kind, fields)
         if subscription is None:
             if len(self._subscriptions) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} topics are subscribed already")
             self._admit_subscription()
-            subscription = self._listen(place, options, fields)
-        elif identity not in subscription.asked:
-            if len(subscription.asked) >= _WISHES:
-                raise LimitError(f"{place.name!r} has {_WISHES} subscriptions of this client")
-            self._admit_subscription()
+            self._listen(place, identity, options, fields)
+            return
+        self._check_type(place, subscription.kind, fields)
+        if subscription.feed is not None or not place.function:
+            subscription.check_form(options)
+        if identity in subscription.asked:
+            subscription.set_options(identity, options)
+            return
+        if len(subscription.asked) >= _WISHES:
+            raise LimitError(f"{place.name!r} has {_WISHES} subscriptions of this client")
+        self._admit_subscription()
         subscription.set_options(identity, options)
+        # The part of the client that subscribes now waits for what stands, too.
+        if place.function:
+            subscription.repeat()
+        else:
+            self._hub.listen(place.name, _type_in(fields), subscription, self._client.account)
 
     def unsubscribe(self, fields: Fields) -> None:
         """End one subscription of a topic by its id, or all without one."""
@@ -380,8 +402,8 @@ class Topics:
         self._fail(fields, error)
 
     def _listen(
-        self, place: NamedPort, options: SubscribeOptions, fields: Fields
-    ) -> RosbridgeSubscription:
+        self, place: NamedPort, identity: str, options: SubscribeOptions, fields: Fields
+    ) -> None:
         topic = fields["topic"]
 
         def on_end(state: str, cause: str) -> None:
@@ -398,19 +420,20 @@ class Topics:
 
         def check(feed: Feed) -> None:
             subscription.kind.find(_structure_of(place, feed).native_type)
-            for identity, asked in [*subscription.asked.items()]:
-                try:  # what was stated before the type was known
+            for name, asked in [*subscription.asked.items()]:
+                try:  # what was asked for before the structure was known
                     subscription.kind.check(asked.kind)
+                    subscription.check_form(asked)
                 except MessageError as error:
-                    if subscription.drop(identity):
+                    if subscription.drop(name):
                         raise
-                    named = {} if identity == place.name else {"id": identity}
+                    named = {} if name == place.name else {"id": name}
                     self._fail({"op": "subscribe", "topic": topic, **named}, error)
-            subscription.check_form()
 
         subscription = RosbridgeSubscription(
             topic,
             TopicType(place.name, _type_in(fields)),
+            identity,
             options,
             self._client,
             structure=lambda: _structure_of(place, subscription.feed),
@@ -426,11 +449,10 @@ class Topics:
                 on_failed=on_failed,
             )
         else:
-            subscription.check_form()
+            subscription.check_form(options)
             self._hub.listen(place.name, _type_in(fields), subscription, self._client.account)
             self._hint(place, Role.OUTPUT, fields)
         self._subscriptions[topic] = subscription
-        return subscription
 
     def _stop(self, topic: str) -> None:
         subscription = self._subscriptions.pop(topic)

@@ -400,12 +400,7 @@ class Feed:
             # Before the place is made, with whose first number messages are compared.
             self._listened_since = self._clock()  # no client was late for what waited for the first
         self._listeners[listener] = _Place(prepare, missed, self.handed + 1)
-        # From the newest to the oldest, each put before the others: they end in order, before all
-        # that waits, and no client gets a latched message after a newer one.
-        for number, message in reversed(_of_those(tuple(self._known), self._standing())):
-            if number <= self.handed:  # others are on their way to all
-                envelope = Envelope(number, message, came=self._clock(), joiner=listener)
-                self._waiting.appendleft(envelope)
+        self._put_standing(listener)
         # A client that joins after the end gets the end, in this call: no other call follows.
         if self._is_done:
             assert self.end is not None, "only what has ended is done"
@@ -414,6 +409,20 @@ class Feed:
             self._hand_all()
         elif self._waiting:
             self._schedule()
+
+    def repeat(self, listener: Listener) -> None:
+        """Hand a listener that was added what stands at a latched output once more."""
+        self._put_standing(listener)
+        if self._waiting and self.end is None:
+            self._schedule()
+
+    def _put_standing(self, listener: Listener) -> None:
+        # From the newest to the oldest, each put before the others: they end in order, before all
+        # that waits, and no client gets a latched message after a newer one.
+        for number, message in reversed(_of_those(tuple(self._known), self._standing())):
+            if number <= self.handed:  # others are on their way to all
+                envelope = Envelope(number, message, came=self._clock(), joiner=listener)
+                self._waiting.appendleft(envelope)
 
     def remove(self, listener: Listener) -> bool:
         """Hand a listener no more; True when it was the last one."""

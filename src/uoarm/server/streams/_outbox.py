@@ -30,7 +30,7 @@ class Lane:
 
     Attributes:
         policy: its length and whether only the newest counts; `block` is not for clients.
-        text: whether its frames are text frames.
+        text: whether what is added goes in text frames.
         length: messages that may wait.
         age: seconds after which a message that waits is dropped, where there are 16 newer ones: a
             client that reads too slowly gets what is new, and a few messages are never lost.
@@ -38,10 +38,10 @@ class Lane:
         is_for_new: whether a client that reads too slowly is to get what is new rather than all.
         dropped: messages that this client lost here.
         sent: messages that were handed to the socket.
-        waiting: when they came, and messages in their pieces; oldest first.
+        waiting: when they came, messages in their pieces, and whether these go in text frames;
+            oldest first.
         waiting_bytes: of them all.
         finished: whether its last message was added.
-        is_last_text: whether that one goes in text frames.
     """
 
     policy: QueuePolicy
@@ -50,10 +50,9 @@ class Lane:
     wants_all: bool = False
     dropped: int = 0
     sent: int = 0
-    waiting: deque[tuple[float, tuple[bytes, ...]]] = field(factory=deque)
+    waiting: deque[tuple[float, tuple[bytes, ...], bool]] = field(factory=deque)
     waiting_bytes: int = 0
     finished: bool = False
-    is_last_text: bool = False
     length: int = field(init=False)
     is_for_new: bool = field(init=False)
     _refusal: str = field(default="", init=False)
@@ -222,7 +221,7 @@ class Outbox:
         stream has after it waits for the last of them.
         """
         # Added before others are dropped, so that the newest message is never the one that goes.
-        has_room = self._add(lane, frames)
+        has_room = self._add(lane, frames, lane.text)
         if len(lane.waiting) > lane.length:
             self._drop(lane)
         if len(lane.waiting) > _FRESH:
@@ -252,9 +251,8 @@ class Outbox:
         else:
             # From now on its last message is counted apart, and `_drop_somewhere` leaves it alone.
             lane.finished = True
-            lane.is_last_text = lane.text if text is None else text
             self._last_bytes += size
-            self._add(lane, frames)
+            self._add(lane, frames, lane.text if text is None else text)
 
     @property
     def may_ping(self) -> bool:
@@ -296,7 +294,7 @@ class Outbox:
         # What was under way on the old socket is never acknowledged: its window would stay full.
         now, self._window = self._clock(), SendWindow()
         for lane in self._turns:
-            lane.waiting = deque((now, frames) for _, frames in lane.waiting)
+            lane.waiting = deque((now, frames, text) for _, frames, text in lane.waiting)
 
     def discard(self, lane: Lane) -> None:
         """Forget what waits of a stream that was killed."""
@@ -418,8 +416,7 @@ class Outbox:
         del self._turns[lane]
         if len(lane.waiting) > _FRESH:
             self._drop_stale(lane)
-        is_last = lane.finished and len(lane.waiting) == 1
-        text = lane.is_last_text if is_last else lane.text
+        text = lane.waiting[0][2]
         for piece in reversed(self._take(lane)):
             self._pieces.appendleft((piece, text))
         lane.sent += 1
@@ -495,13 +492,13 @@ class Outbox:
         # The number is another one for each, so that no two streams are compared.
         return len(lane.waiting) == 1, -lane.waiting_bytes, next(self._entries), lane
 
-    def _add(self, lane: Lane, frames: tuple[bytes, ...]) -> bool:
+    def _add(self, lane: Lane, frames: tuple[bytes, ...], text: bool) -> bool:  # noqa: FBT001
         """Add a message; say whether the client holds no more than it may."""
         # Keeps the invariant of `_turns`.
         self._turns.setdefault(lane)
         now = self._clock()
         self._waits_since = min(self._waits_since, now)
-        lane.waiting.append((now, frames))
+        lane.waiting.append((now, frames, text))
         size = sum(map(len, frames))
         lane.waiting_bytes += size
         self._bytes += size
@@ -511,7 +508,7 @@ class Outbox:
 
     def _take(self, lane: Lane) -> tuple[bytes, ...]:
         """Take the oldest message of a stream; its memory is still held."""
-        _, frames = lane.waiting.popleft()
+        _, frames, _ = lane.waiting.popleft()
         size = sum(map(len, frames))
         lane.waiting_bytes -= size
         self._bytes -= size

@@ -146,8 +146,7 @@ class Subscription:
         self.skipped = 0
         self._outbox = client.outbox
         self._account = client.account
-        self._key, self._frames = form.key, form.frames
-        self._write, self._write_standing = form.write, form.write_standing or form.write
+        self._form = form
         self._throttle = throttle or Throttle(0.0, is_even=True)
         self._clock = clock
         self._on_refused = on_refused
@@ -218,6 +217,16 @@ class Subscription:
         self._reopen = reopen
         self._opening = asyncio.ensure_future(join(0.0))
 
+    def set_form(self, form: MessageForm) -> None:
+        """Write messages in another form from now on; what waits to be sent keeps its own."""
+        self._form = form
+        self.lane.text = form.text
+
+    def repeat(self) -> None:
+        """Send again what stands at the feed, if it is latched and open."""
+        if self.feed is not None:
+            self.feed.repeat(self)
+
     def set_rate(self, every: float, most_held: int) -> None:
         """Let messages pass at another rate, and keep so many of the others until they are due."""
         now = self._clock()
@@ -238,14 +247,15 @@ class Subscription:
         is_wanted = envelope.joiner is not None or (
             not self._held and self._throttle.is_due(self._clock())
         )
-        if not is_wanted or self._key in envelope.forms or self.feed is None:
+        form = self._form
+        if not is_wanted or form.key in envelope.forms or self.feed is None:
             return None
         # Kept, so that clients of the same form wait for one writing, not one each.
-        future = envelope.writing.get(self._key)
+        future = envelope.writing.get(form.key)
         if future is None:
-            future = self.feed.encoder.start(lambda: self._written(envelope))
+            future = self.feed.encoder.start(lambda: self._written(envelope, form))
             if future is not None:
-                envelope.writing[self._key] = future
+                envelope.writing[form.key] = future
         return future
 
     @property
@@ -312,18 +322,20 @@ class Subscription:
 
     def _send(self, envelope: Envelope) -> None:
         # Written by the first subscription of this form, in this very call where it is short.
-        made = envelope.forms.get(self._key) or self._written(envelope)
+        form = self._form
+        made = envelope.forms.get(form.key) or self._written(envelope, form)
         if isinstance(made, MessageError):
             if self.lane.refuse(made):
                 self._on_refused(made)
-        elif self._frames is None:
+        elif form.frames is None:
             self._outbox.put(self.lane, made)
         else:
-            self._outbox.put(self.lane, *self._frames(made, envelope.number))
+            self._outbox.put(self.lane, *form.frames(made, envelope.number))
 
-    def _written(self, envelope: Envelope) -> bytes | MessageError:
-        """Write a message in this form: in the loop, or in the encoder's thread."""
-        write = self._write if envelope.joiner is None else self._write_standing
+    def _written(self, envelope: Envelope, form: MessageForm) -> bytes | MessageError:
+        """Write a message in a form: in the loop, or in the encoder's thread."""
+        standing = form.write_standing if envelope.joiner is not None else None
+        write = standing or form.write
         made: bytes | MessageError
         try:
             if envelope.is_long and envelope.message_octets > _MOST_OCTETS:
@@ -335,7 +347,7 @@ class Subscription:
             made = raised if isinstance(raised, MessageError) else MessageError(text_of(raised))
             # Kept as long as the message waits: its frames would keep what they refer to as well.
             made = made.with_traceback(None)
-        envelope.forms[self._key] = made
+        envelope.forms[form.key] = made
         return made
 
     def _passes(self, envelope: Envelope) -> bool:
