@@ -166,7 +166,7 @@ def hold_ends_all(*command: str) -> None:
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline()
-        started = [child for child in _of_session(process.pid) if child != process.pid]
+        started = [child for child in processes_of(process.pid) if child != process.pid]
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=patience())
     assert started, f"{command} has started nothing that could be left"
@@ -187,7 +187,7 @@ def hold_dies_whole(*command: str, after: str, env: Mapping[str, str] | None = N
     ) as process:
         assert process.stdout is not None
         assert any(after in line for line in process.stdout)
-        started = [child for child in _of_session(process.pid) if child != process.pid]
+        started = [child for child in processes_of(process.pid) if child != process.pid]
         process.kill()
         try:
             wait(lambda: not any(map(lives, started)), f"what {command} started lives on")
@@ -197,7 +197,8 @@ def hold_dies_whole(*command: str, after: str, env: Mapping[str, str] | None = N
     assert started, f"{command} has started nothing that could be left"
 
 
-def _of_session(session: int) -> Iterator[int]:
+def processes_of(session: int) -> Iterator[int]:
+    """Find the processes of a session, its first one among them."""
     for home in Path("/proc").iterdir():
         if home.name.isdecimal():
             try:

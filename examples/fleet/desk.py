@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -25,7 +26,8 @@ HERE = Path(__file__).parent
 VEHICLES = ("ant", "bee", "cat")
 BOXES = 12
 METRES = 2.0
-_LIMIT_SECONDS = 60.0
+_LIMIT_SECONDS = 120.0
+_PAUSE_SECONDS = 1.0
 _PORTS = (9410, 9411, 9412)
 
 
@@ -50,8 +52,7 @@ def vehicle(name: str, port: int) -> Iterator[subprocess.Popen[bytes]]:
 def configuration(ports: dict[str, int]) -> str:
     """Return the desk's: a bridge and two functions for each vehicle."""
     bridges = "".join(
-        f"  {name}: {{plugin: remote, options: "
-        f"{{url: 'ws://127.0.0.1:{port}/', silence: 1, grace: 1}}}}\n"
+        f"  {name}: {{plugin: remote, options: {{url: 'ws://127.0.0.1:{port}/', grace: 1}}}}\n"
         for name, port in ports.items()
     )
     functions = "".join(
@@ -90,6 +91,7 @@ class Desk:
             self._changed.wait_for(lambda: len(self.delivered) >= count, _LIMIT_SECONDS)
 
     def _work(self, name: str) -> None:
+        is_lost = False
         while True:
             with self._changed:
                 # A box that another vehicle has may come back.
@@ -104,11 +106,15 @@ class Desk:
             except UoarmError as error:
                 if self._is_over:
                     return
-                print(f"{name} is lost with {box}: {str(error).splitlines()[-1].strip()}")
+                if not is_lost:
+                    print(f"{name} is lost with {box}: {str(error).splitlines()[-1].strip()}")
+                is_lost = True
                 with self._changed:
                     self._boxes.appendleft(box)  # another one carries it
                     self._changed.notify_all()
-                return
+                time.sleep(_PAUSE_SECONDS)  # only the link may have been lost
+                continue
+            is_lost = False
             print(f"{done['vehicle']} has delivered {done['box']}", flush=True)
             with self._changed:
                 self.delivered[box] = name

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
+import subprocess
 import sys
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 
-from tests.processes import hold_dies_whole, hold_ends_all, run_python
+from tests.processes import hold_dies_whole, hold_ends_all, processes_of, run_python
 
-from uoarm.testing import free_port
+from uoarm.testing import free_port, patience
 
 DESK = Path(__file__).parents[2] / "examples" / "fleet" / "desk.py"
 
@@ -21,6 +26,28 @@ def test_every_box_arrives_although_a_vehicle_is_killed() -> None:
     assert "cat is killed" in done.stdout
     boxes = re.findall(r"has delivered (box \d+)", done.stdout)
     assert {*boxes} == {f"box {number}" for number in range(1, 13)}
+
+
+def test_vehicles_that_were_out_of_reach_go_on() -> None:
+    command = [sys.executable, "-u", str(DESK), *(str(free_port()) for _ in range(3))]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as desk:
+        try:
+            assert desk.stdout is not None
+            assert any("has delivered" in line for line in desk.stdout)
+            vehicles = [process for process in processes_of(desk.pid) if process != desk.pid]
+            for vehicle in vehicles:
+                os.kill(vehicle, signal.SIGSTOP)
+            lost = list(islice((line for line in desk.stdout if " is lost " in line), 3))
+            for vehicle in vehicles:
+                os.kill(vehicle, signal.SIGCONT)
+            rest, _ = desk.communicate(timeout=2 * patience())
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(desk.pid, signal.SIGKILL)
+    assert len({line.partition(" ")[0] for line in lost}) == 3
+    assert rest.endswith("all 12 boxes have arrived\n")
 
 
 def test_a_server_that_has_taken_a_port_is_no_vehicle() -> None:
