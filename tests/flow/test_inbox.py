@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from uoarm._dataplane import Inbox, QueueClosed
 from uoarm.errors import UsageError
 from uoarm.model import Message, QueuePolicy
+from uoarm.testing import patience
 
 
 def make(length: int = 8) -> tuple[Inbox, list[str]]:
@@ -41,6 +43,27 @@ def test_a_callback_first_receives_what_waits() -> None:
     assert seen == [1, 2]
     assert inbox.get(0) == 3
     assert not drops
+
+
+def test_callbacks_of_two_inboxes_may_end_both_subscriptions_at_once() -> None:
+    inboxes, both = (make()[0], make()[0]), threading.Barrier(2)
+    ends: list[Callable[[], None]] = []
+
+    def take(message: Message) -> None:
+        both.wait(patience())
+        for end in ends[::message]:
+            end()
+
+    ends += [inbox.subscribe(take) for inbox in inboxes]
+    threads = [
+        threading.Thread(target=inbox.put, args=(direction,), daemon=True)
+        for inbox, direction in zip(inboxes, (1, -1), strict=True)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(patience())
+    assert not any(thread.is_alive() for thread in threads)
 
 
 def test_one_cannot_take_while_callbacks_receive() -> None:

@@ -212,8 +212,11 @@ class Inbox:
         self._wake: Callable[[], None] | None = None
         # Held while callbacks run: from the route's thread against `subscribe`, so that what waits
         # comes before what arrives, and no two messages are in a callback at a time. Re-entrant,
-        # since a callback may subscribe, end its own subscription, or cause the next message.
+        # since a callback may subscribe, or cause the next message.
         self._lock = threading.RLock()
+        # Guards the tuple's changes. Another lock: an end waits for no callback, or two would wait
+        # for each other that end both subscriptions. Re-entrant, for an end in a finalizer.
+        self._changing = threading.RLock()
         self._records = LimitedLog(_log)
 
     def put(self, message: Message) -> None:
@@ -250,14 +253,16 @@ class Inbox:
         """Give every message to a callback from now on, first what is waiting already.
 
         Callbacks run in the thread in which the message arrives; one that raises is logged and
-        stays, and the message counts as lost. Returns a function that ends the subscription.
+        stays, and the message counts as lost. Returns a function that ends the subscription; a
+        message that is under way may still come.
         """
         with self._lock:
-            self._callbacks = (*self._callbacks, callback)
+            with self._changing:
+                self._callbacks = (*self._callbacks, callback)
             self._notify_of_waiting()
 
         def end() -> None:
-            with self._lock:
+            with self._changing:
                 self._callbacks = tuple(c for c in self._callbacks if c is not callback)
 
         return end
