@@ -115,6 +115,18 @@ def test_an_action_that_fails_keeps_none_of_the_others_from_being_done(
     assert connection.state is ConnectionState.RUNNING
 
 
+def test_an_event_is_handled_though_a_handler_of_the_log_raises(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Broken(logging.Handler):
+        def emit(self, _: logging.LogRecord) -> None:
+            raise ArithmeticError("a fault of the application")
+
+    monkeypatch.setattr(logging.getLogger("uoarm.control"), "handlers", [Broken()])
+    caplog.set_level(logging.DEBUG, "uoarm.control")
+    stage.robot.request("camera").kill()
+
+
 def test_what_comes_while_a_change_of_candidates_fails_is_handled(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -335,8 +336,29 @@ def test_why_nothing_takes_over_is_a_warning_once(
     monkeypatch.setattr(stage.two, "_open_source", fail)
     stage.one.die("best")
     wait(lambda: opened.count("last") > 4)
+    wait(lambda: "next is busy" in caplog.text and "last is busy" in caplog.text)
     connection.kill()
     assert caplog.text.count("next is busy") == caplog.text.count("last is busy") == 1
+
+
+def test_a_handler_of_the_log_may_end_what_it_is_warned_of(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage = make(FailoverPolicy(wait=patience()))
+
+    def fail(endpoint: Endpoint, *_: Any) -> Channel:
+        raise BridgeError(f"{endpoint.address[0]} is busy")
+
+    class Ending(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if "is busy" in record.getMessage():
+                connection.kill()
+
+    connection, handler = stage.robot.request("camera"), Ending()
+    monkeypatch.setattr(stage.two, "_open_source", fail)
+    monkeypatch.setattr(logging.getLogger("uoarm"), "handlers", [handler])
+    stage.one.die("best")
+    wait(lambda: connection.ended)
 
 
 def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> None:

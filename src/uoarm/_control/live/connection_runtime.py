@@ -16,6 +16,7 @@ from uoarm._control.engine.state import ConnectionRecord
 from uoarm._dataplane import Route
 from uoarm._interrupts import wait_for
 from uoarm._parts import ApplicationPorts, LiveComponent, LiveEdge, OutputReceiver
+from uoarm._raised import LimitedLog
 from uoarm._spans import past_span
 from uoarm.model import Gap, QueuePolicy, RouteStatus
 
@@ -193,13 +194,15 @@ class ConnectionRuntime:
     def warn(self, text: str) -> None:
         """Write a warning; the same once more, until another plan runs, is for debugging.
 
+        In a lane: a handler of the log is foreign, and may end the connection.
+
         What waits searches every five seconds at the least, and may fail for days.
         """
         level = logging.DEBUG if text in self._warned else logging.WARNING
         if len(self._warned) >= _WARNINGS:
             self._warned.clear()
         self._warned.add(text)
-        _log.log(level, "connection %s: %s", self.id, text)
+        LimitedLog(_log).write(level, f"connection {self.id}: {text}")
 
     def publish(self, record: ConnectionRecord) -> None:
         """Show the connection as it is now; at its end, its inbox closes."""

@@ -330,7 +330,8 @@ class Driver:
         # (`tests/control/test_trace.py`).
         now = self._clock()
         if _log_of_events.isEnabledFor(logging.DEBUG):
-            _log_of_events.debug("%s", write_event(event, now))
+            with suppress(Exception):  # of a handler of the log; the event is handled all the same
+                _log_of_events.debug("%s", write_event(event, now))
         try:
             state, actions = step(self.state, event, now)
         except Exception as error:  # noqa: BLE001 - its caller must not pay for a fault of ours
@@ -421,7 +422,8 @@ class Driver:
             case act.Warn():
                 runtime = self.live.runtimes.get(action.connection)
                 if runtime is not None:  # else its request was given up
-                    runtime.warn(action.text)
+                    lane = f"warn {action.connection}"
+                    self._lanes.put(lane, partial(runtime.warn, action.text))
 
     def _call(
         self,
@@ -579,7 +581,7 @@ class Driver:
         except RuntimeError as error:
             # The system gives no more threads. The lane counts as driven, so that no later job of
             # it would have it served: it is tried again with the time.
-            _log.warning("a lane waits for a thread: %s", error)
+            LimitedLog(_log).write(logging.WARNING, f"a lane waits for a thread: {error}")
             self._unstarted.append(job)
         if self._unstarted:
             with suppress(RuntimeError):  # nor one for the timer: the next start asks again
