@@ -1,6 +1,7 @@
 """Ctrl-C or SIGTERM while something is half done: raised when that is whole, or at a second one.
 
-And while the main thread waits: a signal is noticed within a second (`wait_step`).
+And while the main thread waits: a signal is noticed within a second (`wait_step`). What a finalizer
+asks for is done in a thread of its own (`put_off`): it may come within any call, of any thread.
 
 Python raises KeyboardInterrupt in the main thread, after any call, and so does SIGTERM whatever its
 handler raises, SystemExit most often. Where that thread owns what others share, half of a change
@@ -11,7 +12,9 @@ from __future__ import annotations
 
 import _signal  # type: ignore[import-not-found]  # what `signal` wraps, at fifteen times the cost
 import ctypes
+import gc
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -131,6 +134,30 @@ def _below(number: int) -> Any:
 def _set_below(number: int, below: Any) -> None:
     if _sigaction is not None:
         _sigaction(number, below, None)
+
+
+_collecting: list[int] = []  # the thread in which the garbage collector runs
+
+
+def _note_collection(phase: str, _: object) -> None:
+    _collecting[:] = [threading.get_ident()] if phase == "start" else ()
+
+
+gc.callbacks.append(_note_collection)
+
+
+def put_off(call: Callable[[], object]) -> bool:
+    """Have something called in another thread where a finalizer asks for it; say whether.
+
+    The collector may run within any call: this thread may hold the locks that are needed. As the
+    interpreter ends it is not called at all: no thread runs any more, and none would begin.
+    """
+    if sys.is_finalizing():
+        return True
+    if threading.get_ident() not in _collecting:
+        return False
+    threading.Thread(target=call, name="uoarm-finalizer", daemon=True).start()
+    return True
 
 
 @contextmanager

@@ -7,11 +7,14 @@ cycles behind makes the slowest requests slower.
 from __future__ import annotations
 
 import gc
+import logging
 import weakref
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from tests.manager import stage
+from tests.processes import run_python
 
 from uoarm import RobotManager
 from uoarm.testing import patience, wait
@@ -28,6 +31,28 @@ functions:
         bridge: a
         input: {from: source, endpoint: ["tests.manager.stage:take_narrow"]}
         output: {endpoint: ["tests.manager.stage:take_narrow"]}
+"""
+
+LASTING = """
+from uoarm import RobotManager
+from uoarm.config import loads
+
+class Owner:
+    def __init__(self):
+        self.robot = RobotManager(loads('''
+version: 1
+bridges: {a: {plugin: python}}
+functions:
+  count:
+    components: [{name: count, bridge: a, output: {endpoint: ["tests.manager.quitting:ticks"]}}]
+'''))
+        self.connection = self.robot.request("count")
+    def __del__(self):
+        self.connection.kill()
+        self.robot.close()
+        print("closed")
+
+owner = Owner()
 """
 
 
@@ -60,3 +85,34 @@ def test_a_connection_that_was_killed_leaves_nothing_to_the_collector(
     stage.release()  # what iterates lets go
     del connection
     wait(lambda: not [reference_type() for reference_type in gone if reference_type() is not None])
+
+
+@pytest.mark.usefixtures("uncollected")
+def test_a_finalizer_may_end_a_connection_wherever_it_runs(
+    make_robot: Callable[[str], RobotManager],
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot = make_robot(CHAIN)
+
+    class Owner:
+        def __init__(self) -> None:
+            self.connection, self.itself = robot.request("sink"), self
+
+        def __del__(self) -> None:
+            self.connection.kill()
+
+    class Collecting(logging.Handler):
+        def emit(self, _: logging.LogRecord) -> None:
+            gc.collect()
+
+    connection = Owner().connection
+    monkeypatch.setattr(logging.getLogger("uoarm.control"), "handlers", [Collecting()])
+    caplog.set_level(logging.DEBUG, "uoarm.control")  # each event is recorded as it is handled
+    robot.request("source").kill()
+    wait(lambda: connection.ended)
+
+
+def test_a_finalizer_at_the_end_of_the_interpreter_waits_for_nothing() -> None:
+    root = Path(__file__).parents[2]
+    assert run_python("-c", LASTING, cwd=root, check=True).stdout == "closed\n"

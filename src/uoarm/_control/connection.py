@@ -16,6 +16,7 @@ from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.driver import Driver
 from uoarm._dataplane import QueueClosed
 from uoarm._hints.applications import MessageType, T, as_message
+from uoarm._interrupts import put_off
 from uoarm._parts import ApplicationPorts
 from uoarm._renewal import HeldCommand, renewal_period, renewed
 from uoarm._spans import span
@@ -268,7 +269,8 @@ class Connection(Generic[T]):
         """Give messages to a callback from now on, first those that wait; returns what ends it.
 
         The callback runs in the thread in which a message arrives. It may call `kill`. A message
-        of which no value of `as_type` can be made is logged and counted as failed.
+        that is under way may still come after the end. One of which no value of `as_type` can be
+        made is logged and counted as failed.
         """
         if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
@@ -279,12 +281,15 @@ class Connection(Generic[T]):
     def kill(self) -> None:
         """End the connection and close what only it used. Once is enough; bounded in time.
 
-        In a child that was forked it does nothing: the connection is the parent's.
+        In a child that was forked it does nothing: the connection is the parent's. In a finalizer
+        that the garbage collector runs it only begins.
         """
         self._kill()
 
     def _kill(self, cause: str = "") -> None:
         """As `kill`; the cause says who did it, where that is not the application."""
+        if put_off(partial(self._kill, cause)):
+            return
         with span("kill", self._runtime.context, connection=self.id, cause=cause):
             self._driver.kill(self.id, cause)
 

@@ -27,7 +27,7 @@ from uoarm._control.robot_view import RobotView
 from uoarm._dataplane import Clock
 from uoarm._figures import observe
 from uoarm._hints.applications import MessageType, T
-from uoarm._interrupts import Uninterrupted
+from uoarm._interrupts import Uninterrupted, put_off
 from uoarm._mistakes import choose
 from uoarm._parts import StalenessWatch
 from uoarm._resolve import Discovery
@@ -461,8 +461,11 @@ class RobotManager(RobotView):
         """Kill every connection and close every bridge. Idempotent; bounded in time.
 
         In the main thread Ctrl-C and SIGTERM wait for its end; a second one is raised at once.
-        In a child that was forked it does nothing: what is open is the parent's.
+        In a child that was forked it does nothing: what is open is the parent's. In a finalizer
+        that the garbage collector runs it only begins.
         """
+        if put_off(self.close):
+            return
         with Uninterrupted():
             if self._driver.is_foreign:
                 return

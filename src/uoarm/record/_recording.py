@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 from typing_extensions import Self
 
 from uoarm._encodable import encodable
-from uoarm._interrupts import wait_for
+from uoarm._interrupts import put_off, wait_for
 from uoarm._raised import LimitedLog, contained, on_failure, sentence_of, text_of
 from uoarm.errors import UoarmError, UsageError
 from uoarm.model import Gap, Message, StatusEvent
@@ -198,6 +198,8 @@ class Recording:
 
     def close(self) -> None:
         """End it: write what has come, close the file. Idempotent; waits a minute at most."""
+        if put_off(self.close):
+            return
         self._is_closing = True
         self._kill()
         self._arrivals.close()
