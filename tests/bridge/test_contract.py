@@ -637,6 +637,121 @@ def test_a_bridge_that_is_closed_cancels_all_calls_under_way() -> None:
         assert [call.result(patience()) for call in calls] == ["ended early"] * 2
 
 
+class Within(Prompt):
+    """Has each call in a step of its own, as a function has that calls another one."""
+
+    def _keeps_time(self, endpoint: Endpoint) -> bool:
+        return False
+
+
+def test_a_caller_waits_for_no_call_that_outlasts_the_bridge() -> None:
+    bridge, is_waiting, may_end = Within(), threading.Event(), threading.Event()
+
+    def hang() -> str:
+        is_waiting.set()
+        assert may_end.wait(2 * patience())
+        return "late"
+
+    def call() -> Message:
+        endpoint = Endpoint("b", "arm", Role.SERVICE, ("x",))
+        return bridge.call(endpoint, "request", timeout=2 * patience())
+
+    def call_from_a_loop() -> Message:
+        step = deadlines.begin("a call", call, lambda *_: None)
+        error = None
+        while error is None:
+            error = step.give_up_late()
+        raise error
+
+    for way in (call, call_from_a_loop):
+        bridge = Within()
+        bridge.step = hang
+        is_waiting.clear()
+        calling = Background(way)
+        assert is_waiting.wait(patience())
+        bridge.step = lambda: None
+        bridge.close()
+        with pytest.raises(BridgeError, match=r"calling .* given up: the bridge was closed") as got:
+            calling.result()
+        assert got.value.reason is FailureReason.CLOSED
+    may_end.set()
+    wait(lambda: not any(" of arm at" in step for step in deadlines._hanging.steps))
+
+
+def test_a_call_that_outlasts_one_bridge_is_still_waited_for_by_another() -> None:
+    bridge, inner, may_end = Within(), Within(), threading.Event()
+    endpoint, is_waiting = Endpoint("b", "arm", Role.SERVICE, ("x",)), threading.Event()
+
+    def hold() -> str:
+        is_waiting.set()
+        assert may_end.wait(2 * patience())
+        return "inner"
+
+    def call_another() -> tuple[str, dict[object, float]]:
+        reply: str = inner.call(endpoint, "request", timeout=2 * patience())
+        step = deadlines.current()
+        assert step is not None
+        return reply, dict(step.abandoned)
+
+    inner.step, bridge.step = hold, call_another
+    call = Background(lambda: bridge.call(endpoint, "request", timeout=2 * patience()))
+    assert is_waiting.wait(patience())
+    inner._pending_calls.abandon(2 * patience())  # as its close does, with a longer grace
+    may_end.set()
+    assert call.result() == ("inner", {})
+
+
+def test_a_call_that_closes_its_own_bridge_returns() -> None:
+    bridge, endpoint = Within(), Endpoint("b", "arm", Role.SERVICE, ("x",))
+
+    def close() -> dict[object, float]:
+        bridge.step = lambda: None
+        bridge.close()
+        step = deadlines.current()
+        assert step is not None
+        return step.abandoned
+
+    bridge.step = close
+    assert bridge.call(endpoint, "request", timeout=patience()) == {}
+
+
+def test_no_call_begins_once_its_bridge_is_closed() -> None:
+    class Closing(Prompt):
+        def _keeps_time(self, endpoint: Endpoint) -> bool:
+            Background(self.close).result()  # between the look whether it is, and the call
+            return super()._keeps_time(endpoint)
+
+    for component in ("prompt", "other"):
+        bridge = Closing()
+        bridge.step = lambda: None
+        with pytest.raises(BridgeError, match="the bridge was closed") as caught:
+            bridge.call(Endpoint("b", component, Role.SERVICE, ("x",)), "request")
+        assert caught.value.reason is FailureReason.CLOSED
+        assert bridge.threads == []
+
+
+def test_a_call_that_cannot_be_cancelled_is_late_all_the_same(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    bridge, endpoint, may_end = (
+        Within(),
+        Endpoint("b", "arm", Role.SERVICE, ("x",)),
+        threading.Event(),
+    )
+
+    def hang() -> str:
+        with bridge.cancelling(fail):
+            assert may_end.wait(patience())
+        return "late"
+
+    bridge.step = hang
+    with pytest.raises(BridgeTimeoutError, match="did not finish within"):
+        bridge.call(endpoint, "request", timeout=0.05)
+    assert "could not be asked to end: ZeroDivisionError: native trouble" in caplog.text
+    may_end.set()
+    wait(lambda: not any(" of arm at" in step for step in deadlines._hanging.steps))
+
+
 def test_no_stop_waits_for_a_call_that_is_being_cancelled() -> None:
     stop = StopMessage({"v": 0.0})
     moving = Endpoint("b", "base", Role.INPUT, ("x",), command=CommandPolicy(None, stop))

@@ -217,7 +217,33 @@ def takes_its_time(world: Any, bridge: Any, call: Any) -> Any:
     return called
 
 
+def goes_on_after_the_close(world: Any, bridge: Any, call: Any) -> Any:
+    def called(*given: Any) -> Message:
+        try:
+            reply: Message = call(*given)
+        except BridgeError:
+            if bridge.closed:
+                world.ended.wait()
+            raise
+        return reply
+
+    return called
+
+
+def holds_up_its_caller(world: Any, bridge: Any) -> None:
+    """Say that a call keeps its limit, so that the core ends none: a close ends none either."""
+    bridge._keeps_time = lambda _: True
+    step("_call", goes_on_after_the_close)(world, bridge)
+
+
 CALL_BUGS: tuple[Bug, ...] = (
+    Bug(
+        SERVICES,
+        "goes on with a call after the close",
+        step("_call", goes_on_after_the_close),
+        ServiceRules.test_a_call_that_waits_for_its_reply_ends_as_its_bridge_closes,
+        "`_call` goes on after the close",
+    ),
     Bug(
         SERVICES,
         "goes on with a call after its time",
@@ -298,6 +324,13 @@ BROKEN_BUGS: tuple[Bug, ...] = (
         step("_serve", hangs_with_a_bad_reply),
         ServiceRules.test_a_served_function_whose_reply_fits_nothing_fails_its_caller,
         "what answered has ended",
+    ),
+    Bug(
+        SERVICES,
+        "has a caller wait after the close",
+        holds_up_its_caller,
+        ServiceRules.test_a_call_that_waits_for_its_reply_ends_as_its_bridge_closes,
+        "still running",
     ),
     Bug(
         SERVICES,

@@ -22,7 +22,7 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from uoarm._interrupts import Uninterrupted
-from uoarm._raised import contained
+from uoarm._raised import contained, foreign, text_of
 from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
@@ -99,6 +99,8 @@ class _Job(Generic[T]):
         self.grace = grace
         self._hangs_in = ""
         self._level = logging.WARNING  # of the record that it failed late
+        # When it is given up, at the latest, by what in it waits for something that was closed.
+        self.abandoned: dict[object, float] = {}
         self._action = action
         self._on_late = on_late
         self._done = done
@@ -127,10 +129,18 @@ class _Job(Generic[T]):
         elif self._done is not None:
             self._done(None if self._error else self._result, self._error)
 
-    def give_up_late(self) -> BridgeTimeoutError | None:
-        """Give it up where it is late, and return the error that says so; for `begin`."""
-        is_late = not self.given_up and time.monotonic() >= self.deadline + self.grace
-        return self._late() if is_late and self._give_up() else None
+    def give_up_late(self) -> BridgeError | None:
+        """Give it up where it is late or abandoned, and return the error that says so."""
+        if self.given_up:
+            return None
+        now = time.monotonic()
+        if any(now >= end for end in tuple(self.abandoned.values())) and self._give_up(None):
+            text = f"{self._innermost()} was given up: the bridge was closed"
+            return BridgeError(text, FailureReason.CLOSED)
+        if now >= self.deadline + self.grace and self._give_up(self.on_give_up):
+            text = f"{self._innermost()} did not finish within {self.limit:g} s and was given up"
+            return BridgeTimeoutError(text)
+        return None
 
     def _put_away(self) -> None:
         if self._error is not None:
@@ -147,11 +157,11 @@ class _Job(Generic[T]):
                 _workers.submit(self.work)
                 is_begun = True
             self._wait()
-        except BridgeTimeoutError:
+        except BridgeError:
             raise
         except BaseException:  # Ctrl-C: its caller waits no longer, as after its deadline
             self._level = logging.DEBUG  # who ends the whole need not know how its parts end
-            if is_begun and not self._give_up():
+            if is_begun and not self._give_up(self.on_give_up):
                 self._put_away()
             raise
         if self._error is not None:
@@ -162,29 +172,31 @@ class _Job(Generic[T]):
         # The deadline and its grace are read at each look: they are those of an inner step for a
         # while, which may end within its grace, by an error that the step around it deals with.
         while not self._finished.acquire(timeout=self._glance()):
-            if time.monotonic() >= self.deadline + self.grace and self._give_up():
-                raise self._late()
+            if (error := self.give_up_late()) is not None:
+                raise error
 
     def _glance(self) -> float:
         return max(0.0, min(self.deadline + self.grace - time.monotonic(), _GLANCE_SECONDS))
 
-    def _late(self) -> BridgeTimeoutError:
+    def _innermost(self) -> str | BoundedStep:
         innermost: _Job[Any] = self
         while (inner := innermost.isolated) is not None:  # read once: it may be over now
             innermost = inner
-        text = f"{innermost.step} did not finish within {self.limit:g} s and was given up"
-        return BridgeTimeoutError(text)
+        return innermost.step
 
-    def _give_up(self) -> bool:
+    def _give_up(self, notify: Callable[[], object] | None) -> bool:
         """Have the result put away when it comes; False where it is there."""
         with self._verdict:
-            if self._is_over:
-                return False
+            if self._is_over or self.given_up:  # which a Ctrl-C may find done
+                return self.given_up
             self.given_up = True
             self._hangs_in = str(self.step)
             _hanging.add(self._hangs_in)
-        if self.on_give_up is not None:
-            self.on_give_up()
+        if notify is not None:
+            try:
+                foreign(notify)
+            except Exception as error:  # noqa: BLE001 - who waits learns that it is late, not this
+                _log.warning("%s could not be asked to end: %s", self.step, text_of(error))
         return True
 
 
@@ -263,6 +275,11 @@ def left(otherwise: float) -> float:
 
 
 StepUnderWay: TypeAlias = _Job[Any]
+
+
+def current() -> StepUnderWay | None:
+    """Return the step that runs in this thread, the outermost; None outside of any."""
+    return _current.job
 
 
 def begin(

@@ -385,6 +385,8 @@ class Bridge(BridgeSteps):
         try:
             self._close_all(timeout)
         finally:
+            # What its framework does not end, such as a function of this process, goes on alone.
+            self._pending_calls.abandon(_GRACE_SECONDS)
             self._exit_stops.close()
             with self._channels_changed:
                 self._is_over = True
@@ -396,7 +398,7 @@ class Bridge(BridgeSteps):
         for channel in channels:
             if isinstance(channel, Sink):
                 channel.begin_close()
-        if len(self._pending_calls):
+        if self._pending_calls.close():
             step = f"bridge {self.name!r}: cancelling calls"
             try:
                 with translated(step):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ from typing import Generic, TypeVar
 from attrs import define
 
 from uoarm._raised import foreign, text_of
+from uoarm._support import deadlines
 from uoarm.bridge._health import ChannelHealth, ChannelMonitor
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
@@ -26,9 +28,11 @@ class CallUnderWay:
     Attributes:
         number: by which it is cancelled; None: only by who makes it.
         cancel: how the framework is notified; None: it cannot be, or not yet.
+        step: for which its caller waits; None: it runs in the caller's thread.
     """
 
     number: int | None = None
+    step: deadlines.StepUnderWay | None = None
     cancel: Callable[[], object] | None = None
     is_cancelled: bool = False
 
@@ -44,6 +48,7 @@ class CallsUnderWay:
         self._lock = threading.Lock()
         self._calls: set[CallUnderWay] = set()
         self._early: dict[int, None] = {}
+        self._is_closed = False
         self._here = _Here()
 
     def __len__(self) -> int:
@@ -53,12 +58,15 @@ class CallsUnderWay:
         """List a call in this thread; return the one that this thread is in already.
 
         Raises:
-            BridgeError: it was cancelled before, and does not begin.
+            BridgeError: it was cancelled, or the bridge closed, before: it does not begin.
         """
         with self._lock:
+            if self._is_closed:
+                raise BridgeError("the bridge was closed", FailureReason.CLOSED)
             if call.is_cancelled or call.number in self._early:
                 text = "the call was cancelled before it began"
                 raise BridgeError(text, FailureReason.REFUSED)
+            call.step = deadlines.current()
             self._calls.add(call)
         outer, self._here.call = self._here.call, call
         return outer
@@ -68,6 +76,16 @@ class CallsUnderWay:
         self._here.call = outer
         with self._lock:
             self._calls.discard(call)
+            if call.step is not None:  # which may go on, as it is that of a step around the call
+                call.step.abandoned.pop(call, None)
+
+    def abandon(self, seconds: float) -> None:
+        """Have callers wait so many seconds at most, but for a call in which this is asked."""
+        end = time.monotonic() + seconds
+        with self._lock:
+            for call in self._calls:
+                if call.step is not None and call.step is not deadlines.current():
+                    call.step.abandoned[call] = end
 
     @contextmanager
     def cancelling(self, cancel: Callable[[], object]) -> Iterator[None]:
@@ -111,6 +129,12 @@ class CallsUnderWay:
         with self._lock:
             call.is_cancelled, way = True, call.cancel
         return way is not None and way() is not False
+
+    def close(self) -> bool:
+        """Have no call begin from now on; return whether one is under way."""
+        with self._lock:
+            self._is_closed = True
+            return bool(self._calls)
 
     def cancel_all(self) -> None:
         """Cancel every call, as `cancel` does; one that cannot be keeps none of the others.

@@ -194,7 +194,8 @@ class BridgeSteps(ABC):
         """Send one request and return its reply; with the capability `call`.
 
         Must be overridden where the capability is there. Must raise BridgeError when the service
-        failed or is gone, and end within `timeout` seconds. May run in several threads at once.
+        failed or is gone, and end within `timeout` seconds, and as the bridge is closed: `_close`
+        or `cancelling` ends what waits. May run in several threads at once.
         """
         raise NotImplementedError
 

@@ -271,6 +271,24 @@ class ServiceRules:
         under_way = bridge._pending_calls  # noqa: SLF001 - which steps run is the core's
         wait(lambda: not len(under_way), "`_call` goes on after its timeout", world.patience)
 
+    def test_a_call_that_waits_for_its_reply_ends_as_its_bridge_closes(
+        self, world: World, served: Served
+    ) -> None:
+        silent = supplied(served.silent, "the world has no service that is silent")
+        bridge, limit = world.bridge(), 4 * world.patience
+        under_way = bridge._pending_calls  # noqa: SLF001 - as above
+        try:
+            calling = Background(lambda: bridge.call(silent, served.request, timeout=limit))
+            wait(lambda: len(under_way), "the call did not begin", world.patience)
+            bridge.call(served.endpoint, served.request)  # so that the other one is on its way
+        finally:
+            Background(bridge.close).result(world.patience)
+        with pytest.raises(BridgeError) as caught:
+            calling.result(world.patience)
+        assert not isinstance(caught.value, BridgeTimeoutError), caught.value
+        if not world.runs_code:
+            wait(lambda: not len(under_way), "`_call` goes on after the close", world.patience)
+
     def test_what_the_bridge_cannot_do_is_refused(self, world: World, bridge: Bridge) -> None:
         endpoint = world.missing()
         able = bridge.capabilities
