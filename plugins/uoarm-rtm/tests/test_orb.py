@@ -157,6 +157,28 @@ def test_a_call_that_did_not_come_back_in_time_is_not_waited_for_again() -> None
     assert guard.end(0.0)
 
 
+def test_what_is_cut_are_connections_to_where_calls_went() -> None:
+    orb, inlet = Orb("127.0.0.1", patience()), Inlet()
+    reference = orb.text(orb.serve(inlet))
+    place = _orb._address_of(reference)
+    with (
+        socket.create_server(("127.0.0.1", 0)) as another,
+        socket.create_connection(another.getsockname()) as kept,
+        socket.create_connection(place) as meant,
+    ):
+        orb.called(reference)
+        _orb._cut(_orb._shared.called)
+        meant.settimeout(patience())
+        assert meant.recv(1) == b""
+        accepted, _ = another.accept()
+        with accepted:
+            accepted.sendall(b"x")
+        assert kept.recv(1) == b"x"
+    orb.called("IOR:00")  # what is read no further
+    orb.called("corbaloc::nowhere")
+    orb.close()
+
+
 def _count_sockets() -> int:
     count = 0
     for descriptor in Path("/proc/self/fd").iterdir():

@@ -180,11 +180,14 @@ class RtmBridge(Bridge):
             except BridgeError as error:
                 if not caller.ended:
                     raise
+                if self.closed:
+                    text = f"{endpoint}: the bridge was closed"
+                    raise BridgeError(text, FailureReason.CLOSED) from error
                 # The next call looks for the component anew: it may have come back elsewhere.
                 with self._guard:
                     if self._callers.get(key) is caller:
                         del self._callers[key]
-                if error.reason is not FailureReason.CLOSED or self.closed:
+                if error.reason is not FailureReason.CLOSED:
                     raise
                 # Another call has ended it before this one began.
 

@@ -17,7 +17,7 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -67,11 +67,16 @@ class CallGuard:
             if self._ended and not self._count:
                 self._changed.notify_all()
 
-    def end(self, seconds: float) -> bool:
+    def end(self, seconds: float, cut: Callable[[], object] | None = None) -> bool:
         """Let no call begin any more, and wait for those under way.
 
         The time counts from the first time on: a port quiesces on its own when it is asked to
         disconnect, and again when the walk over all ports comes to it.
+
+        Args:
+            seconds: to wait.
+            cut: ends connections of calls; called again while one is under way, which may just
+                have made its own.
 
         Returns:
             whether all have come back in time.
@@ -81,7 +86,13 @@ class CallGuard:
             if not self._ended:
                 self._until = now + seconds
             self._ended = True
-            return self._changed.wait_for(lambda: not self._count, max(0.0, self._until - now))
+        while cut is not None and self._count and time.monotonic() < self._until:
+            cut()
+            with self._changed:
+                self._changed.wait_for(lambda: not self._count, _CUT_SECONDS)
+        with self._changed:
+            left = max(0.0, self._until - time.monotonic())
+            return self._changed.wait_for(lambda: not self._count, left)
 
     @property
     def is_busy(self) -> bool:
@@ -100,6 +111,7 @@ deliveries = CallGuard()
 """Of this process, too: calls of others that bring a message, while it is delivered."""
 
 
+_CUT_SECONDS = 0.1
 _GONE = (CORBA.COMM_FAILURE, CORBA.TRANSIENT, CORBA.OBJECT_NOT_EXIST, CORBA.INV_OBJREF)
 
 
@@ -169,7 +181,7 @@ class _OrbShutdown:
 
     def _run(self) -> None:
         self._begun.wait()
-        if not calls.end(_DRAIN_SECONDS):
+        if not calls.end(_DRAIN_SECONDS, lambda: _cut(_shared.called)):
             _log.warning("a CORBA call does not come back: the ORB is left as it is")
             return
         try:
@@ -202,6 +214,8 @@ class _Shared:
         self.users = 0
         self.running: _RunningOrb | None = None
         self.destroying: _OrbShutdown | None = None
+        # Where calls went that may last, as the kernel writes an IPv4 address and a port.
+        self.called: set[str] = set()
 
 
 _shared = _Shared()
@@ -232,14 +246,37 @@ class _ServedSockets:
         socket.setdefaulttimeout(limit)
 
 
-def _port_of(reference: str) -> int:
-    """Return the port in a stringified reference of this ORB (CORBA 3.3, part 2, 7.6 and 9.7.2)."""
+def _cut(called: set[str]) -> None:
+    """Shut this process's connections to these addresses down, as omniORB ends no call by itself.
+
+    Found on Linux only, in the kernel's table: `socket` may change what it looks at.
+    """
+    with suppress(OSError):
+        rows = [row.split() for row in Path("/proc/self/net/tcp").read_text().splitlines()[1:]]
+        inodes = {f"socket:[{row[9]}]" for row in rows if row[2] in called}
+        for path in Path("/proc/self/fd").glob("*"):
+            with suppress(OSError):  # it was closed meanwhile
+                if str(path.readlink()) in inodes:
+                    _shut_down(int(path.name), inodes)
+
+
+def _shut_down(number: int, inodes: set[str]) -> None:
+    copy = os.dup(number)  # the number itself may be another socket's by now
+    if str(Path(f"/proc/self/fd/{copy}").readlink()) not in inodes:
+        os.close(copy)
+        return
+    with socket.socket(fileno=copy) as held:
+        held.shutdown(socket.SHUT_RDWR)
+
+
+def _address_of(reference: str) -> tuple[str, int]:
+    """Return host and port in a stringified reference (CORBA 3.3, part 2, 7.6 and 9.7.2)."""
     octets = bytes.fromhex(reference.removeprefix("IOR:"))
     # In it: the type, how many profiles, then the first: tag, length, and what is a whole again.
     at = 8 + _unpack("I", octets, 4)
     profile = octets[at + -at % 4 + 12 :]
     at = 8 + _unpack("I", profile, 4)  # behind the host
-    return _unpack("H", profile, at + at % 2)
+    return profile[8 : at - 1].decode(), _unpack("H", profile, at + at % 2)
 
 
 def _unpack(form: str, octets: bytes, at: int) -> int:
@@ -274,7 +311,7 @@ class Orb:
                 self._poa = root.create_POA(f"uoarm-{id(self)}", None, [])
                 self._poa._get_the_POAManager().activate()
                 nothing = self._poa.create_reference("IDL:omg.org/CORBA/Object:1.0")
-                self._served = _ServedSockets(_port_of(self._orb.object_to_string(nothing)))
+                self._served = _ServedSockets(_address_of(self._orb.object_to_string(nothing))[1])
                 close_in_children(self._served)
         except BridgeError:
             with _shared.lock:
@@ -305,9 +342,18 @@ class Orb:
         with corba_errors(f"reading the reference {text[:60]!r}"):
             return self._orb.string_to_object(text)
 
+    def called(self, text: str) -> None:
+        """Note where calls through a reference go: as the ORB ends, those under way end, too."""
+        with suppress(OSError, ValueError, struct.error):  # no IPv4 address, or another profile
+            host, port = _address_of(text)
+            octets = int.from_bytes(socket.inet_aton(host), sys.byteorder)
+            _shared.called.add(f"{octets:08X}:{port:04X}")
+
     def close(self) -> None:
         """Let go; the last user's call ends the ORB and waits at most 5 s for it.
 
+        Calls under way end with the ORB; another bridge's may share a connection, so before that
+        they go on to their limits, for no caller.
         It does not wait where a message is still being delivered, which the end of the ORB does.
         """
         with _shared.lock:
@@ -359,6 +405,7 @@ def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
             )
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         calls.begin()
+        _shared.called.clear()
         foreign = omniORB.orb is not None
         arguments = {
             # No limit for connecting of its own: the first call through a new connection would have

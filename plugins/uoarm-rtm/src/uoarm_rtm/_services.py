@@ -200,6 +200,7 @@ class OperationCaller:
                 with on_failure(connector.disconnect):
                     reference = self._orb.reference(ior)
                     narrowed(reference, self._interface.stub, self._seconds, self._where)
+                self._orb.called(ior)
                 self._connector, self._reference = connector, ior
             reached = self._orb.reference(self._reference)
             narrow = reached._unchecked_narrow(self._interface.stub)  # noqa: SLF001 - of CORBA's API
