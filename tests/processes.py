@@ -175,6 +175,22 @@ def hold_ends_all(*command: str) -> None:
     assert not [child for child in started if lives(child)]
 
 
+def hold_ends_unread(*command: str) -> None:
+    """Hold that a program ends with 1, in silence, once what it prints is read no more.
+
+    Raises:
+        AssertionError: it does not, or writes something to standard error.
+    """
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        process.stdout.close()
+        process.stdout = None
+        _, said = process.communicate(timeout=patience())
+    assert (process.returncode, said) == (1, "")
+
+
 def hold_dies_whole(*command: str, after: str, env: Mapping[str, str] | None = None) -> None:
     """Hold that all that a program started ends when it is killed, once it has printed some words.
 

@@ -7,6 +7,7 @@ is free, and gives a box that a dead vehicle had to another one.
 from __future__ import annotations
 
 import os
+import queue
 import shutil
 import signal
 import subprocess
@@ -73,15 +74,18 @@ class Desk:
         self._changed = threading.Condition()
         self.delivered: dict[str, str] = {}
         self._is_over = False
+        self.news: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def run(self) -> None:
         """Have each vehicle work in a thread of its own; returns when all boxes have arrived."""
         for name in VEHICLES:
             threading.Thread(target=self._work, args=(name,), daemon=True).start()
         try:
-            with self._changed:
-                if not self._changed.wait_for(lambda: len(self.delivered) == BOXES, _LIMIT_SECONDS):
-                    raise SystemExit(f"only {len(self.delivered)} of {BOXES} boxes arrived")
+            # Printed here: what fails in a thread of a vehicle would end nothing else.
+            while not self._has_all():
+                print(self.news.get(timeout=_LIMIT_SECONDS), flush=True)
+        except queue.Empty:
+            raise SystemExit(f"only {len(self.delivered)} of {BOXES} boxes arrived") from None
         finally:
             self._is_over = True  # calls under way are cancelled, and no vehicle is lost
 
@@ -89,6 +93,10 @@ class Desk:
         """Wait until so many boxes have arrived."""
         with self._changed:
             self._changed.wait_for(lambda: len(self.delivered) >= count, _LIMIT_SECONDS)
+
+    def _has_all(self) -> bool:
+        with self._changed:
+            return len(self.delivered) == BOXES and self.news.empty()
 
     def _work(self, name: str) -> None:
         is_lost = False
@@ -107,7 +115,8 @@ class Desk:
                 if self._is_over:
                     return
                 if not is_lost:
-                    print(f"{name} is lost with {box}: {str(error).splitlines()[-1].strip()}")
+                    why = str(error).splitlines()[-1].strip()
+                    self.news.put(f"{name} is lost with {box}: {why}")
                 is_lost = True
                 with self._changed:
                     self._boxes.appendleft(box)  # another one carries it
@@ -115,9 +124,9 @@ class Desk:
                 time.sleep(_PAUSE_SECONDS)  # only the link may have been lost
                 continue
             is_lost = False
-            print(f"{done['vehicle']} has delivered {done['box']}", flush=True)
             with self._changed:
                 self.delivered[box] = name
+                self.news.put(f"{done['vehicle']} has delivered {done['box']}")
                 self._changed.notify_all()
 
 
@@ -135,12 +144,12 @@ def main(*given: int) -> None:
 
         def kill() -> None:
             desk.wait_for(BOXES // 3)
-            print("cat is killed", flush=True)
+            desk.news.put("cat is killed")
             processes["cat"].kill()
 
         threading.Thread(target=kill, daemon=True).start()
         desk.run()
-        print(f"all {BOXES} boxes have arrived")
+        print(f"all {BOXES} boxes have arrived", flush=True)
 
 
 if __name__ == "__main__":
@@ -152,3 +161,5 @@ if __name__ == "__main__":
         main(*map(int, given))
     except KeyboardInterrupt:
         sys.exit(130)
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)

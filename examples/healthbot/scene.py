@@ -90,6 +90,8 @@ def _run(options: argparse.Namespace) -> int:
                 _say(f"To see into the robot open {places.robot_url.replace('ws', 'http', 1)}")
                 _say("Everything is ready; Ctrl-C ends it.")
                 return _visit(places.robot_url) if options.visit else watch(crew)
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)
     except (FootageError, PartError, UoarmError, OSError) as error:
         print(error, file=sys.stderr)
         return 2

@@ -130,6 +130,8 @@ def running(*, alone: bool) -> Iterator[Parts]:
             for name in ("old camera", "sensor"):
                 parts.start(name)
             yield parts
+        except BrokenPipeError:
+            raise
         except Exception:
             print(parts.log(), file=sys.stderr)
             raise
@@ -210,6 +212,8 @@ def main() -> int:
         return 1
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)
 
 
 def show(parts: Parts, times: int, patience: float) -> int:

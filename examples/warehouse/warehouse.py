@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import os
 import signal
 import sys
 import tempfile
@@ -76,6 +77,8 @@ def _run(options: argparse.Namespace) -> int:
                     work = place_and_wait(places.robot_url, options.orders, limit, _say)
                     return 0 if asyncio.run(work) else 1
                 return watch(crew, options.duration)
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)
     except (PartError, OSError) as error:
         print(error, file=sys.stderr)
         return 2

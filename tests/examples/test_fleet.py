@@ -11,7 +11,13 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
-from tests.processes import hold_dies_whole, hold_ends_all, processes_of, run_python
+from tests.processes import (
+    hold_dies_whole,
+    hold_ends_all,
+    hold_ends_unread,
+    processes_of,
+    run_python,
+)
 
 from uoarm.testing import free_port, patience
 
@@ -68,6 +74,10 @@ def test_what_are_no_three_ports_is_refused() -> None:
 
 def test_a_signal_ends_every_vehicle() -> None:
     hold_ends_all(sys.executable, str(DESK), *(str(free_port()) for _ in range(3)))
+
+
+def test_it_ends_with_what_reads_it() -> None:
+    hold_ends_unread(sys.executable, str(DESK), *(str(free_port()) for _ in range(3)))
 
 
 def test_no_vehicle_outlives_the_desk() -> None:

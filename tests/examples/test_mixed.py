@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.processes import hold_dies_whole, hold_ends_all, run_python
+from tests.processes import hold_dies_whole, hold_ends_all, hold_ends_unread, run_python
 
 from uoarm.testing import patience
 
@@ -39,6 +39,10 @@ def test_what_does_not_come_in_time_is_reported() -> None:
 
 def test_a_signal_ends_every_part() -> None:
     hold_ends_all(sys.executable, "-u", str(SCRIPT))
+
+
+def test_it_ends_with_what_reads_it() -> None:
+    hold_ends_unread(sys.executable, "-u", str(SCRIPT))
 
 
 def test_no_part_outlives_it(tmp_path: Path) -> None:
