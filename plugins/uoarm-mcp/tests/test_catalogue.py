@@ -107,6 +107,20 @@ def test_long_lists_have_pages(agents: Agents, monkeypatch: pytest.MonkeyPatch) 
             agents.run(getattr(client, method)(cursor="x"))
 
 
+def test_the_tools_of_a_large_robot_are_on_the_first_page(
+    agents: Agents, robot: RobotManager
+) -> None:
+    functions = "".join(
+        f"  f{count}:\n    components:\n      - {{name: c{count}, bridge: python, "
+        "service: {endpoint: ['components:add']}}\n"
+        for count in range(200)
+    )
+    text = f"version: 1\nbridges: {{python: {{}}}}\nfunctions:\n{functions}"
+    robot.apply(loads(text, origin=robot.config.origin))
+    page = agents.run(agents.client().list_tools())
+    assert {f"f{count}" for count in range(200)} <= {tool.name for tool in page.tools}
+
+
 async def test_what_was_made_of_what_was_before_is_not_kept(
     robot: RobotManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:

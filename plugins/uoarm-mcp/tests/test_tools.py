@@ -329,6 +329,22 @@ def test_an_id_of_a_request_under_way_is_refused_in_its_session(
     assert post(agents, ping, **session).status_code == 200
 
 
+def test_an_id_of_the_stream_of_notices_is_refused(agents: Agents) -> None:
+    session = opened(agents)
+    subscribe = {
+        "jsonrpc": "2.0", "id": 2, "method": "resources/subscribe",
+        "params": {"uri": "uoarm://stream/numbers"},
+    }  # fmt: skip
+    ping = {"jsonrpc": "2.0", "id": "_GET_stream", "method": "ping"}
+    with httpx2.stream("GET", agents.url, headers=HEADERS | session, timeout=patience()) as notices:
+        assert post(agents, subscribe, **session).json()["result"] == {}
+        assert post(agents, ping, **session).status_code == 400
+        script.numbers.put({"value": 1})
+        assert "notifications/resources/updated" in next(
+            line for line in notices.iter_lines() if line.startswith("data:")
+        )
+
+
 def test_sessions_that_begin_together_have_room(
     agents: Agents, monkeypatch: pytest.MonkeyPatch
 ) -> None:

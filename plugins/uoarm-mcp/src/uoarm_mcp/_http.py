@@ -12,7 +12,7 @@ import uvicorn
 from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
 from mcp.server.auth.provider import AccessToken
 from mcp.server.lowlevel import Server
-from mcp.server.streamable_http import MCP_SESSION_ID_HEADER
+from mcp.server.streamable_http import GET_STREAM_KEY, MCP_SESSION_ID_HEADER
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from mcp.shared.inbound import MCP_PROTOCOL_VERSION_HEADER
 from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
@@ -280,7 +280,8 @@ class AdmittingApp:
         if headers.get(b"mcp-method") == b"tools/call":
             await self._service.prepare(client, headers.get(b"mcp-name", b"").decode("latin-1"))
         asked = client, headers.get(_SESSION), identity
-        if asked in self._asked:  # the SDK would answer one of the two only
+        # The SDK would answer one of the two only; a session's stream of notices has an id, too.
+        if asked in self._asked or (identity == GET_STREAM_KEY and _SESSION in headers):
             await _answer(send, 400, f"the id {identity[:_SHOWN]!r} is that of a request under way")
             return
         if identity and _SESSION in headers:

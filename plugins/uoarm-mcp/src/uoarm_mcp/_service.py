@@ -88,7 +88,7 @@ _INSTRUCTIONS = (
     "out and why; plan says what a request would do before it does it; stop stops."
 )
 _NOTICE_SECONDS = 0.2
-_PAGE = 50
+_PAGE = 250
 _MOST_LISTENING = 16
 _MOST_SUBSCRIBED = 64
 _SUBSCRIBES = "uoarm.subscribes"
@@ -108,7 +108,8 @@ def _page(
 ) -> tuple[list[_Item], str | None]:
     """Return one page of a list, and the cursor of the next one: the last name of this one.
 
-    The SDK writes an answer in the loop; for a thousand tools at once it takes a second and more.
+    Long, since there are clients that ask for the first page only; not longer, since the SDK writes
+    an answer in the loop.
     """
     begin = 0
     if params is not None and params.cursor is not None:
