@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { UoarmError, connect, findTrouble } from "../../../src/uoarm/server/static/uoarm.js";
-import { decode } from "../../../src/uoarm/server/static/uoarm-cbor.js";
+import { decode, encode } from "../../../src/uoarm/server/static/uoarm-cbor.js";
 
 const OPENED = { connection: "c1", inputs: ["default"], warnings: [], lifetimes: { default: 1 }, number: 0 };
 const COMPONENT = { name: "c", health: "degraded", cause: "", last_error: "e" };
@@ -206,4 +206,36 @@ test("arrays of several dimensions are lists in lists", () => {
   assert.deepEqual(rows([2, 1], [0xd8, 72, 0x42, 255, 1]), [[-1], [1]]);
   assert.deepEqual(rows([2], [0x82, 1, 2]), [1, 2]);
   assert.deepEqual(rows([0, 4], [0x40]), []);
+});
+
+test("integers of any width are written as CBOR has them", () => {
+  const hex = (value) => Buffer.from(encode(value)).toString("hex");
+  const vectors = { // of RFC 8949
+    "05": 5n, "24": -5n, "1bffffffffffffffff": 2n ** 64n - 1n, "3bffffffffffffffff": -(2n ** 64n),
+    c249010000000000000000: 2n ** 64n, c349010000000000000000: -(2n ** 64n) - 1n,
+  };
+  for (const [written, value] of Object.entries(vectors)) {
+    assert.equal(hex(value), written);
+    assert.equal(BigInt(decode(encode(value))), value);
+  }
+});
+
+test("CBOR has what JSON has of each value, and nothing is lost without a word", () => {
+  class Own extends Float32Array {}
+  const value = {
+    date: new Date(0), none: undefined, act() {}, sign: Symbol("s"), list: [undefined, () => {}],
+    own: new Own([1.5]), view: new DataView(new ArrayBuffer(1)), node: Buffer.from([1]),
+  };
+  assert.deepEqual(decode(encode(value)), {
+    date: "1970-01-01T00:00:00.000Z", list: [null, null], own: [1.5], view: new Uint8Array(1),
+    node: Uint8Array.of(1),
+  });
+  assert.throws(() => encode({ text: "\ud800" }), /half of a surrogate pair/);
+});
+
+test("CBOR that is too deep for the stack is named as such", () => {
+  let deep = 0;
+  for (let depth = 0; depth < 1e5; depth += 1) deep = [deep];
+  assert.throws(() => encode(deep), /more than 512 values within one another/);
+  assert.throws(() => decode(new Uint8Array(1e5).fill(0x81)), /more than 512 values within one another/);
 });

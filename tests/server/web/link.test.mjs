@@ -130,6 +130,28 @@ test("a limit that no timer can have is none", async (context) => {
   robot.close();
 });
 
+test("what is no number of seconds is refused, and is no time that has run out", async () => {
+  const usage = (name) => ({ code: "usage", message: new RegExp(`^${name}: expected a number of seconds, got `) });
+  for (const name of ["timeout", "reconnect", "answer"]) {
+    await assert.rejects(connect("ws://x/", { WebSocket: Socket, [name]: "5" }), usage(name));
+  }
+  const connecting = connect("ws://x/", { WebSocket: Socket });
+  const socket = Socket.made.at(-1);
+  socket.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  const opening = robot.request("drive");
+  socket.deliver({ op: "Reply", id: "1", jsonMessage: { connection: "c1", inputs: ["default"], warnings: [] } });
+  const stream = await opening;
+  await assert.rejects(stream.get({ timeout: NaN }), usage("timeout"));
+  for (const period of ["0.5", NaN, -1]) assert.throws(() => stream.hold(1, { period }), usage("period"));
+  const calling = robot.call("add", 1, { timeout: "x" });
+  await new Promise((wake) => { setTimeout(wake); });
+  const refusal = { code: "unreadable", text: "Call: x-timeout: 'x' is not of type 'number'" };
+  socket.deliver({ op: "Error", id: "2", jsonMessage: refusal });
+  await assert.rejects(calling, { code: "unreadable" });
+  robot.close();
+});
+
 test("a command with a period that no timer can have is sent once", async (context) => {
   context.mock.timers.enable({ apis: ["setTimeout"] });
   const connecting = connect("ws://x/", { WebSocket: Socket });
@@ -155,10 +177,11 @@ test("numbers and octets that JSON has no form for are written as the protocol s
   const robot = await connecting;
   const message = { wide: 2n ** 60n, off: NaN, far: -Infinity, near: 0.5, none: null };
   const arrays = { octets: new Uint8Array([0, 255]), floats: new Float32Array([0.5, NaN]) };
-  robot.call("add", { ...message, ...arrays }).catch(() => {});
+  const buffers = { node: Buffer.from([1]), bare: new ArrayBuffer(2), view: new DataView(new ArrayBuffer(1)) };
+  robot.call("add", { ...message, ...arrays, ...buffers }).catch(() => {});
   assert.deepEqual(socket.sent.at(-1).jsonMessage, {
     wide: "1152921504606846976", off: "NaN", far: "-Infinity", near: 0.5, none: null,
-    octets: [0, 255], floats: [0.5, "NaN"],
+    octets: [0, 255], floats: [0.5, "NaN"], node: [1], bare: [0, 0], view: [0],
   });
   robot.close();
 });
@@ -170,7 +193,7 @@ test("what cannot be written fails alone, also while the connection is down", as
     round.round = round;
     answers.push(robot.call("add", round), robot.call("add", 2));
   });
-  await assert.rejects(answers[0], TypeError);
+  await assert.rejects(answers[0], { code: "message", message: /^the message cannot be written: .*circular/s });
   second.deliver(RESUMED);
   assert.deepEqual(second.sent.slice(1), [{ op: "Call", type: "add", id: "2", jsonMessage: 2 }]);
   second.deliver({ op: "Reply", id: "2", jsonMessage: 3 });

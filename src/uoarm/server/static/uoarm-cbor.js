@@ -1,6 +1,7 @@
 // CBOR (RFC 8949) with typed arrays (RFC 8746), as much of it as messages need.
 
 const TEXT = new TextEncoder();
+const HALF_PAIR = /\p{Surrogate}/u;
 const PLAIN = new TextDecoder("utf-8", { fatal: true });
 
 // Tag to array type and byte order; those without an order are of single bytes.
@@ -14,6 +15,7 @@ const TYPED = {
   85: [Float32Array, "little"], 86: [Float64Array, "little"],
 };
 const MOST_DIGITS = 384; // octets of an integer, as the protocol says
+const DEEPEST = 512; // values within one another: far less than the stack has room for
 const ORDER = new Uint8Array(new Uint16Array([1]).buffer)[0] ? "little" : "big";
 const TAGS = new Map(Object.entries(TYPED)
   .filter(([tag, [, order]]) => tag !== "68" && (order === undefined || order === ORDER))
@@ -50,7 +52,14 @@ export function decode(data) {
     if (more === 27) return view.getFloat64(take(8));
     throw new RangeError(`CBOR of simple value ${more}`);
   };
+  let depth = 0;
   const item = () => {
+    depth = deeper(depth);
+    const made = whole();
+    depth -= 1;
+    return made;
+  };
+  const whole = () => {
     const first = view.getUint8(take(1));
     const [major, more] = [first >> 5, first & 31];
     if (major === 7) return simple(more);
@@ -76,6 +85,22 @@ export function decode(data) {
   return value;
 }
 
+/** Return the numbers of an array of any type, or the octets of what has no type. */
+export function listOf(view) {
+  const octets = () => new Uint8Array(view.buffer ?? view, view.byteOffset ?? 0, view.byteLength);
+  return Array.from(view.length === undefined ? octets() : view);
+}
+
+function deeper(depth) {
+  if (depth === DEEPEST) throw new RangeError(`CBOR of more than ${DEEPEST} values within one another`);
+  return depth + 1;
+}
+
+/** Whether JSON leaves a value out, too. */
+function isNothing(value) {
+  return value === undefined || typeof value === "function" || typeof value === "symbol";
+}
+
 /** Return a value as CBOR: numbers, text, buffers, typed arrays, lists and plain objects. */
 export function encode(value) {
   const parts = [];
@@ -92,9 +117,20 @@ export function encode(value) {
     }
   };
   const number = (input) => {
-    if (typeof input === "bigint" || Number.isSafeInteger(input)) {
+    if (typeof input === "bigint") {
+      const size = input < 0n ? -1n - input : input;
+      if (size < 2n ** 64n) head(input < 0n ? 1 : 0, narrow(size));
+      else {
+        const digits = size.toString(16);
+        const pairs = (digits.length & 1 ? `0${digits}` : digits).match(/../g);
+        head(6, input < 0n ? 3 : 2);
+        octets(Uint8Array.from(pairs, (pair) => parseInt(pair, 16)));
+      }
+      return;
+    }
+    if (Number.isSafeInteger(input)) {
       if (input >= 0) head(0, input);
-      else head(1, typeof input === "bigint" ? -1n - input : -1 - input);
+      else head(1, -1 - input);
       return;
     }
     const wide = new DataView(new ArrayBuffer(9));
@@ -106,23 +142,32 @@ export function encode(value) {
     head(2, input.byteLength);
     parts.push(new Uint8Array(input.buffer ?? input, input.byteOffset ?? 0, input.byteLength));
   };
+  let depth = 0;
   const item = (input) => {
-    if (input === null || input === undefined) parts.push(Uint8Array.of(0xf6));
+    depth = deeper(depth);
+    put(input);
+    depth -= 1;
+  };
+  const put = (input) => {
+    if (input === null || isNothing(input)) parts.push(Uint8Array.of(0xf6));
     else if (typeof input === "boolean") parts.push(Uint8Array.of(input ? 0xf5 : 0xf4));
     else if (typeof input === "number" || typeof input === "bigint") number(input);
     else if (typeof input === "string") {
+      if (HALF_PAIR.test(input)) throw new TypeError("a text with half of a surrogate pair");
       const text = TEXT.encode(input);
       head(3, text.length);
       parts.push(text);
     } else if (input instanceof Uint8Array || input instanceof ArrayBuffer) octets(input);
-    else if (ArrayBuffer.isView(input)) {
+    else if (TAGS.has(input.constructor) || input instanceof Uint8ClampedArray || input instanceof DataView) {
       head(6, TAGS.get(input.constructor) ?? 64);
       octets(input);
-    } else if (Array.isArray(input)) {
+    } else if (ArrayBuffer.isView(input)) put(listOf(input));
+    else if (Array.isArray(input)) {
       head(4, input.length);
       input.forEach(item);
-    } else {
-      const entries = Object.entries(input).filter(([, inner]) => inner !== undefined);
+    } else if (typeof input.toJSON === "function") put(input.toJSON());
+    else {
+      const entries = Object.entries(input).filter(([, inner]) => !isNothing(inner));
       head(5, entries.length);
       for (const [key, inner] of entries) {
         item(key);

@@ -25,10 +25,16 @@ export const seconds = () => performance.now() / 1000;
 /** Calls a function after so many seconds, which may be infinite. */
 export const later = (act, seconds) => setTimeout(act, Math.min(seconds * 1000, LONGEST_TIMER));
 
+/** Returns a number of seconds; refuses what is none, of which a timer ends at once. */
+export function checkSeconds(name, value) {
+  if (typeof value === "number" && value >= 0) return value;
+  throw new UoarmError("usage", `${name}: expected a number of seconds, got ${JSON.stringify(value) ?? typeof value}`);
+}
+
 /** What the server refused, or why the connection ended; `code` is that of the protocol. */
 export class UoarmError extends Error {
-  constructor(code, text) {
-    super(text);
+  constructor(code, text, options) {
+    super(text, options);
     this.name = "UoarmError";
     this.code = code;
   }
@@ -194,7 +200,7 @@ export class Link {
 
   /** Send one message that will be answered, at once or when the connection is renewed. */
   send(fields) {
-    const frame = this.#form.write(fields);
+    const frame = this.#written(fields);
     const octets = octetsOf(frame, this.most);
     if (octets > this.most) {  // the server would end the connection for it
       const text = `the message has ${octets} octets; the server takes ${this.most} at most`;
@@ -203,6 +209,14 @@ export class Link {
     const received = { id: fields.id, frame };
     if (this.#socket) this.#pass(received);
     else this.#queue.push(received);
+  }
+
+  #written(fields) {
+    try {
+      return this.#form.write(fields);
+    } catch (cause) {
+      throw new UoarmError("message", `the message cannot be written: ${cause.message}`, { cause });
+    }
   }
 
   close() {

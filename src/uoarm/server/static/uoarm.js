@@ -1,6 +1,6 @@
 // A client of `uoarm serve` for browsers and Node, without dependencies. Types: uoarm.d.ts.
-import { decode, encode } from "./uoarm-cbor.js";
-import { Link, UoarmError, checked, errorOf, later, seconds } from "./uoarm-link.js";
+import { decode, encode, listOf } from "./uoarm-cbor.js";
+import { Link, UoarmError, checkSeconds, checked, errorOf, later, seconds } from "./uoarm-link.js";
 
 export { UoarmError };
 
@@ -19,11 +19,11 @@ const FORMS = {
 };
 
 /** What JSON has no form for, as the protocol writes it: JSON.stringify makes null of NaN. */
-function inJson(_, value) {
-  if (typeof value === "bigint" || (typeof value === "number" && !Number.isFinite(value))) {
-    return String(value);
-  }
-  return ArrayBuffer.isView(value) ? Array.from(value) : value;
+function inJson(key, value) {
+  const own = this[key]; // not yet what a Buffer of Node.js makes of itself
+  if (ArrayBuffer.isView(own) || own instanceof ArrayBuffer) return listOf(own);
+  const isBare = typeof value === "bigint" || (typeof value === "number" && !Number.isFinite(value));
+  return isBare ? String(value) : value;
 }
 
 /** Messages for one reader: waits for the next, ends once, and keeps the newest when it is slow. */
@@ -177,7 +177,7 @@ export class Stream {
    * rejects, and `trouble` says what keeps messages from coming, as far as the server says it soon.
    */
   async get({ timeout } = {}) {
-    let item = await this.#next(timeout ?? Infinity);
+    let item = await this.#next(checkSeconds("timeout", timeout ?? Infinity));
     if (item === undefined) {
       const trouble = timeout > 0 ? await this.#diagnose(this.connection) : [];
       if (this.#mailbox.isEmpty) {
@@ -225,7 +225,7 @@ export class Stream {
       takeOver = false; // who was taken over from does not take it back by itself
       await this.send(command, input, options);
     };
-    const seconds = period ?? (lifetime === undefined ? 0.1 : lifetime / 4);
+    const seconds = checkSeconds("period", period ?? (lifetime === undefined ? 0.1 : lifetime / 4));
     return new HeldCommand(message, seconds, send, () => this.stop(input));
   }
 
@@ -578,7 +578,7 @@ export class Robot {
     return new Promise((resolve, reject) => {
       this.#link.send({ ...fields, id });
       const given = fields["x-timeout"] ?? (fields.op === "Request" ? fields.jsonMessage?.wait : 0) ?? 0;
-      const seconds = this.#answer + given;
+      const seconds = this.#answer + (Number(given) || 0); // of what is no number the server says so
       const timer = later(() => this.#giveUp(id, seconds), seconds);
       this.#asked.set(id, { fields, stream, timer, resolve, reject });
     });
@@ -719,6 +719,7 @@ export async function connect(
 ) {
   const Socket = WebSocket ?? globalThis.WebSocket;
   if (!Socket) throw new UoarmError("usage", NO_SOCKET);
+  for (const [name, value] of Object.entries({ timeout, reconnect, answer })) checkSeconds(name, value);
   const form = binary ? FORMS.cbor : FORMS.json;
   const protocols = [form.protocol];
   const shown = token?.trim(); // as it is read from a file
