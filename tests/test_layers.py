@@ -115,7 +115,7 @@ WITHIN = {
 ALONE = {
     "schema": {"schema", "_encodable"},
     "_wire": {"_wire", "model", "schema", "errors", "_raised", "_spelling"},
-    "cdr": {"cdr", "model", "errors", "_deferred", "_encodable"},
+    "cdr": {"cdr", "model", "errors", "_deferred", "_encodable", "_raised"},
     "local": {"local", "bridge", "_hints", "model", "schema", "errors"}
     | {"_arguments", "_mistakes", "_raised", "_spelling", "_support"},
 }

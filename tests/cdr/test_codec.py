@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.hostile import misbehaviour
 from tests.structures import closed
 
 from uoarm.cdr import CORBA, DDS, NATIVE, ROS_1, ByteOrder, Codec, Encoding
@@ -302,6 +303,34 @@ def test_what_does_not_fit_is_refused_with_its_place(
 ) -> None:
     with pytest.raises(MessageError, match=where):
         codec(encoding, **MANY).encode({**MESSAGE, **change})
+
+
+@pytest.mark.parametrize("name", ["first", "wide", "text", "none", "flags", "parts", "octets"])
+@pytest.mark.parametrize("encoding", ENCODINGS, ids=lambda encoding: encoding.name)
+def test_what_a_value_does_itself_is_a_refusal(encoding: Encoding, name: str) -> None:
+    known = codec(encoding, **MANY)
+
+    def write(value: Any) -> None:
+        octets = known.encode({**MESSAGE, name: value})
+        assert known.encode(known.decode(octets)) == octets  # as long as it says
+
+    assert not misbehaviour(write)
+
+
+def test_what_raises_is_named_with_its_place() -> None:
+    class Wrong(list[Any]):
+        def __len__(self) -> int:
+            raise GeneratorExit("of mine")
+
+    place = r"t/Type: \$\.parts: GeneratorExit: of mine$"
+    with pytest.raises(MessageError, match=place) as raised:
+        codec(DDS, **MANY).encode({**MESSAGE, "parts": Wrong()})
+    assert isinstance(raised.value.__cause__, GeneratorExit)
+
+
+def test_a_text_that_stands_in_a_list_too_often_is_refused() -> None:
+    with pytest.raises(MessageError, match="octets up to here: 1,073,741,824 are allowed"):
+        codec(DDS, x=listing(TEXT)).encode({"x": ["x" * 2**26] * 2**10})
 
 
 @pytest.mark.parametrize("message", [None, 5, [], "text", {"a": 1}])

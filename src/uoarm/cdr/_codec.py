@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from uoarm._raised import contained, foreign, text_of
 from uoarm.cdr._layout import DDS, NATIVE, ROS_1, ByteOrder, Encoding, Layout, layout_of
 from uoarm.cdr._reading import reader
 from uoarm.cdr._source import explain
@@ -20,9 +21,6 @@ from uoarm.cdr._writing import HEADERS, Part, writer
 from uoarm.errors import MessageError
 from uoarm.model import Budget, Message, MessageStructure
 
-_UNFIT = (
-    UnfitValue, struct.error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError,
-)  # fmt: skip
 _ORDERS: dict[bytes, ByteOrder] = {header[:2]: order for order, header in HEADERS.items()}
 _PLAIN = Budget()
 _HEADER = 2  # octets that say the byte order; the two behind them say nothing
@@ -67,12 +65,7 @@ class Codec:
         Raises:
             MessageError: the message does not fit, with the path of the member.
         """
-        try:
-            return b"".join(self._writers[order](message))
-        except _UNFIT as error:
-            if order not in self._writers:
-                return b"".join(self.encode_parts(message, order))
-            raise self._unfit(error) from error
+        return b"".join(self.encode_parts(message, order))
 
     def encode_parts(self, message: Message, order: ByteOrder = NATIVE) -> Sequence[Part]:
         """Return what `encode` joins.
@@ -87,11 +80,13 @@ class Codec:
             write = self._writers[order] = writer(self._layout, self.encoding, order)
         try:
             return write(message)
-        except _UNFIT as error:
-            raise self._unfit(error) from error
-
-    def _unfit(self, error: Exception) -> MessageError:
-        return MessageError(f"{self.name}: {explain(error)}")
+        except BaseException as error:  # of a value's own methods, or of one that changes meanwhile
+            raised = contained(error)
+            try:
+                why = foreign(explain, error)
+            except Exception:  # noqa: BLE001 - looked at again, it raises
+                why = text_of(raised)
+            raise MessageError(f"{self.name}: {why}") from error
 
     def decode(self, octets: bytes | bytearray | memoryview, order: ByteOrder = NATIVE) -> Message:
         """Return the message in octets, which end where the message does.

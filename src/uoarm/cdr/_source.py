@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 
 from attrs import frozen
 
+from uoarm._raised import foreign, text_of
 from uoarm.cdr._layout import Encoding
 from uoarm.cdr._values import UnfitValue
 
@@ -127,10 +128,12 @@ def explain(error: BaseException, otherwise: str = "") -> str:
     for place, check in places:
         if check.variable in variables:
             try:
-                check.check(variables[check.variable])
+                foreign(check.check, variables[check.variable])
             except UnfitValue as misfit:
                 return f"{place}{_glue(misfit)}{misfit}"
-    return f"{path}: {otherwise or error}"
+            except Exception as raised:  # noqa: BLE001 - of a value's own methods, as before
+                return f"{place}: {text_of(raised)}"
+    return f"{path}: {otherwise or text_of(error)}"
 
 
 def _shown(parts: Path, variables: dict[str, Any]) -> str:

@@ -10,6 +10,7 @@ import operator
 import struct
 from array import array
 from collections.abc import Callable, Iterable, Mapping
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from uoarm.cdr._layout import (
     NumberLayout,
     TextLayout,
 )
-from uoarm.model import Message
+from uoarm.model import MOST_OCTETS, Message, elements_of
 
 _SHOWN = 60
 _LAST_OF_PLANE = 0xFFFF
@@ -126,23 +127,42 @@ def member_check(names: Iterable[str]) -> Callable[[Message], Any]:
             raise UnfitValue(f"expected an object, got {shown(value)}")
         if missing := [name for name in names if name not in value]:
             raise UnfitValue(f"field {missing[0]!r} is missing; the fields are {', '.join(names)}")
-        if unknown := [name for name in value if name not in names]:
-            raise UnfitValue(f"there is no field {unknown[0]!r}; the fields are {', '.join(names)}")
+        # No further: one that is no dict may have names without an end.
+        for name in islice(value, len(names) + 1):
+            if name not in names:
+                known = ", ".join(names)
+                raise UnfitValue(
+                    f"there is no field {_encodable.shown(name)}; the fields are {known}"
+                )
         return value
 
     return check
 
 
-def counter(layout: ArrayLayout) -> Callable[[Message], int]:
-    """Return the function that counts an array's elements, or raises UnfitValue."""
+def element_taker(layout: ArrayLayout) -> Callable[[Message], Any]:
+    """Return the function that takes an array's elements as they are now; raises UnfitValue."""
     fitting = _fitting(layout)
 
-    def count(value: Message) -> int:
+    def take(value: Message) -> Any:
         if isinstance(value, str | bytes | Mapping) or not hasattr(value, "__len__"):
             raise UnfitValue(f"expected an array, got {shown(value)}")
-        return fitting(len(value))
+        fitting(len(value))
+        try:
+            elements = elements_of(value)
+        except ValueError as error:
+            raise UnfitValue(str(error)) from error
+        fitting(len(elements))
+        return elements
 
-    return count
+    return take
+
+
+def check_octets(count: int) -> None:
+    """Raise UnfitValue where a message is longer than any may be."""
+    if count > MOST_OCTETS:
+        raise UnfitValue(
+            f"the message has {count:,} octets up to here: {MOST_OCTETS:,} are allowed"
+        )
 
 
 def _fitting(layout: ArrayLayout) -> Callable[[int], int]:
@@ -174,8 +194,13 @@ def array_writer(layout: ArrayLayout, order: ByteOrder) -> _Block:
     if isinstance(element, NumberLayout):
         return _number_writer(element, order, fitting, layout)
     assert isinstance(element, BooleanLayout | CharacterLayout)
-    check, count = checker(element), counter(layout)
-    return lambda value: (count(value), bytes(_checked(value, check)))
+    check, take = checker(element), element_taker(layout)
+
+    def write(value: Message) -> tuple[int, bytes]:
+        octets = bytes(_checked(take(value), check))
+        return len(octets), octets
+
+    return write
 
 
 def _number_writer(
@@ -195,7 +220,10 @@ def _number_writer(
             count = len(value)
             if count != fixed and is_bound:
                 fitting(count)
-            if count * size < _SHORT or not value.flags.c_contiguous:
+            if count * size < _SHORT:
+                return count, value.tobytes()
+            if not value.flags.c_contiguous:
+                check_octets(count * size)
                 return count, value.tobytes()
             return count, value.view(np.uint8).data
         if kind is list or kind is tuple:
@@ -209,6 +237,7 @@ def _number_writer(
         if is_octets and (kind is bytes or kind is bytearray):
             return fitting(len(value)), value
         if kind is memoryview and is_octets and value.format == "B" and value.ndim == 1:
+            check_octets(value.nbytes)
             return fitting(len(value)), value if value.contiguous else value.tobytes()
         if kind is array and is_native and is_machines(value.typecode):
             return fitting(len(value)), memoryview(value).cast("B")
@@ -240,10 +269,11 @@ def _as_array(value: Message, name: str, native: np.dtype[Any]) -> np.ndarray[An
         raise UnfitValue(f"expected an array of {name}, got {shown(value)}")
     given: np.ndarray[Any, Any]
     if isinstance(value, np.ndarray):
-        given = value
+        given = np.asarray(value)  # without the methods of a subclass
     else:
         view = memoryview(value)
         given = np.asarray(view) if view.nbytes else np.empty(0, native)
+    check_octets(max(given.nbytes, given.size * native.itemsize))
     if given.ndim != 1:
         raise UnfitValue(f"expected an array of one dimension, got {given.ndim}")
     return given
@@ -311,9 +341,10 @@ def text_writer(
     bound, unit = layout.bound, 2 if layout.is_wide else 1
     closing = b"\0" if encoding.is_aligned else b""
 
-    def encoded(value: Message) -> bytes:
-        if not isinstance(value, str):
-            raise UnfitValue(f"expected a string, got {shown(value)}")
+    def encoded(given: Message) -> bytes:
+        if not isinstance(given, str):
+            raise UnfitValue(f"expected a string, got {shown(given)}")
+        value = str.__str__(given)  # without the methods of a subclass
         if closing and "\0" in value:
             raise UnfitValue("expected a string without the character NUL, which would end it")
         try:

@@ -30,15 +30,16 @@ from uoarm.cdr._layout import (
 from uoarm.cdr._source import WHOLE, Index, PlaceCheck, SourceText
 from uoarm.cdr._values import (
     array_writer,
+    check_octets,
     checker,
-    counter,
+    element_taker,
     is_block,
     label_check,
     member_check,
     text_writer,
     write_wide_character,
 )
-from uoarm.model import Message
+from uoarm.model import MOST_OCTETS, Message
 
 Part: TypeAlias = "bytes | bytearray | memoryview"
 
@@ -57,8 +58,7 @@ def writer(
 ) -> Callable[[Message], Sequence[Part]]:
     """Return the function that serialises a message, header included; padding is zero.
 
-    It raises UnfitValue, KeyError, TypeError or another ordinary exception of the step that failed;
-    `explain` names the member.
+    It raises UnfitValue, or what the step that failed does; `explain` names the member.
     """
     source = SourceText("def made(v):", encoding, WHOLE)
     header = HEADERS[order] if encoding.is_encapsulated else b""
@@ -258,19 +258,15 @@ class _WritingText:
         source.line("else:")
         source.depth += 1
         source.line(f"parts += (out, {octets}); n += len(out) + len({octets}); out = bytearray()")
+        source.line(f"{source.constant(check_octets)}(n)")
         source.depth -= 1
 
     def _list(self, layout: ArrayLayout, place: str) -> None:
         source, path, checks = self._source, self._source.path, self._source.checks
         name, index, element = source.variable(), source.variable(), source.variable()
-        count = source.constant(counter(layout))
-        source.line(f"{name} = {place}")
-        if layout.is_fixed:
-            source.line(f"{count}({name})")
-        else:
-            length = source.variable()
-            source.line(f"{length} = {count}({name})")
-            self._pack("I", length)
+        source.line(f"{name} = {source.constant(element_taker(layout))}({place})")
+        if not layout.is_fixed:
+            self._pack("I", f"len({name})")
         self.flush()
         source.line(f"for {index}, {element} in enumerate({name}):")
         source.path, source.checks = (*path, Index(index)), ()
@@ -286,6 +282,8 @@ class _WritingText:
                 source.line(f"out, n = {part}({element}, out, parts, n)")
             else:
                 source.line(f"{part}({element}, out, None, 0)")
+        # One large text may stand in a list a million times.
+        source.line(f"if len(out) > {MOST_OCTETS}: {source.constant(check_octets)}(len(out))")
         self._blocks -= 1
         source.depth -= 1
         source.path, source.checks = path, checks

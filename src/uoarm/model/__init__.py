@@ -29,6 +29,7 @@ from uoarm.model._component import (
 )
 from uoarm.model._control import ControlMessage, Op, read_control, write_control
 from uoarm.model._message import (
+    MOST_OCTETS,
     Deliver,
     Message,
     MessageStructure,
@@ -37,6 +38,8 @@ from uoarm.model._message import (
     QueuePolicy,
     Schema,
     ValidationMode,
+    elements_of,
+    items_of,
     message_octets,
 )
 from uoarm.model._offer import (
@@ -105,6 +108,7 @@ from uoarm.model._wire import (
 )
 
 __all__ = [
+    "MOST_OCTETS",
     "Availability",
     "BridgeFindings",
     "BridgeSpec",
@@ -178,6 +182,7 @@ __all__ = [
     "StopReport",
     "ValidationMode",
     "count_names",
+    "elements_of",
     "find_trouble",
     "finite",
     "format_reason",
@@ -185,6 +190,7 @@ __all__ = [
     "format_status",
     "from_json",
     "is_loopback",
+    "items_of",
     "message_octets",
     "octets_of",
     "place_problem",

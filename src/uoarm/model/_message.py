@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from functools import cached_property
+from itertools import islice
 from sys import getsizeof
 from typing import Any, TypeAlias
 
@@ -139,6 +140,43 @@ class ValidationMode(Enum):
 _FLAT = {int, float, bool, type(None), str, bytes}
 _MANY = 32
 _COUNTED_AT_EACH = 100_000
+
+
+MOST_OCTETS = 2**30
+"""Of one message in any form: an array that repeats its values may say that it has more."""
+_MOST_CLAIMED = 2**24
+
+
+def elements_of(value: Any) -> list[Any] | tuple[Any, ...]:
+    """Return the elements of what has a length, in a list or tuple that no other thread changes.
+
+    Raises:
+        ValueError: it gives more elements than it says, without an end perhaps, or fewer.
+    """
+    kind = type(value)
+    if kind is tuple:
+        elements: tuple[Any, ...] = value
+        return elements
+    return value[:] if kind is list else _counted(value, len(value))
+
+
+def items_of(value: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Return the items of a mapping in a dict that no other thread changes.
+
+    Raises:
+        ValueError: as by `elements_of`.
+    """
+    return value.copy() if type(value) is dict else dict(_counted(value.items(), len(value)))
+
+
+def _counted(values: Iterable[Any], size: int) -> list[Any]:
+    if size > _MOST_CLAIMED:
+        raise ValueError(f"it has {size:,} elements: {_MOST_CLAIMED:,} are allowed")
+    found = list(islice(values, size + 1))
+    if len(found) != size:
+        others = "more" if len(found) > size else f"{len(found):,}"
+        raise ValueError(f"it says that it has {size:,} elements, and gives {others}")
+    return found
 
 
 def message_octets(message: Message, *, most: int | None = None) -> int:
