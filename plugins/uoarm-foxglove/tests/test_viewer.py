@@ -310,6 +310,26 @@ def test_the_graph_says_who_publishes_subscribes_and_serves(serve: Serve) -> Non
         assert {"name": "/add", "providerIds": ["adder"]} in graph["advertisedServices"]
 
 
+def test_of_a_topic_that_stays_the_graph_says_that_none_subscribes_it_any_more(
+    serve: Serve, robot: RobotManager
+) -> None:
+    with Viewer(serve()) as viewer:
+        viewer.send("subscribeConnectionGraph")
+        viewer.until("connectionGraphUpdate")
+        text = components.CONFIGURATION.replace("input: {from: numbers, ", "input: {")
+        robot.apply(loads(text, origin=str(Path(__file__).parent / "robot.yaml")))
+        graph = viewer.until("connectionGraphUpdate")
+        assert graph["subscribedTopics"] == [{"name": "/numbers", "subscriberIds": []}]
+        assert graph["publishedTopics"] == graph["removedTopics"] == []
+
+
+def test_a_viewer_that_comes_back_knows_the_server(serve: Serve) -> None:
+    server = serve()
+    with Viewer(server) as first, Viewer(server) as second, Viewer(serve()) as other:
+        assert first.info["sessionId"] == second.info["sessionId"] != other.info["sessionId"]
+        assert first.channel("/numbers") == second.channel("/numbers")
+
+
 def test_a_changed_robot_is_announced(serve: Serve, robot: RobotManager) -> None:
     with Viewer(serve()) as viewer:
         gone = viewer.channel("/loose")["id"]

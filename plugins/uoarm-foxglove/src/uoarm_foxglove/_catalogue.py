@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import time
+import uuid
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -23,6 +24,7 @@ Structures: TypeAlias = Mapping[str, MessageStructure]
 _VIEW = "view"
 _FRESH_SECONDS = 1.0
 _FRAME_OCTETS = 262_144
+_PEERS = {"publishedTopics": "publisherIds", "subscribedTopics": "subscriberIds"}
 _PARTS = ("channels", "services", "inputs", "graph", "parameters")
 
 
@@ -135,13 +137,17 @@ class VisibleListing:
             return None
         before = {part: _by_name(items) for part, items in former.graph.items()}
         now = {part: _by_name(items) for part, items in self.graph.items()}
-        changed: dict[str, object] = {
+        changed: dict[str, list[Any]] = {
             part: [item for name, item in items.items() if before.get(part, {}).get(name) != item]
             for part, items in now.items()
         }
         known = {**before.get("publishedTopics", {}), **before.get("subscribedTopics", {})}
         topics = now["publishedTopics"].keys() | now["subscribedTopics"].keys()
         changed["removedTopics"] = sorted(known.keys() - topics)
+        # Of a topic that stays a viewer keeps what was stated last: that it has none any more, too.
+        for part, whose in _PEERS.items():
+            ended = (before.get(part, {}).keys() - now[part].keys()) & topics
+            changed[part] += [{"name": name, whose: []} for name in sorted(ended)]
         served = before.get("advertisedServices", {})
         changed["removedServices"] = sorted(served.keys() - now["advertisedServices"].keys())
         return write("connectionGraphUpdate", **changed)
@@ -213,9 +219,13 @@ class ChannelCatalogue:
 
     Args:
         backend: of the robot.
+
+    Attributes:
+        identity: that no other server has: the numbers of channels are of this one.
     """
 
     def __init__(self, backend: Backend) -> None:
+        self.identity = uuid.uuid4().hex
         self._backend = backend
         self._looked_at = float("-inf")
         self._looking: asyncio.Task[None] | None = None

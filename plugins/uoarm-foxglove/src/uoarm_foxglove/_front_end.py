@@ -112,7 +112,7 @@ class FoxgloveSession:
             "capabilities": _CAPABILITIES,
             "supportedEncodings": [CDR, JSON],
             "metadata": _OF_ROS_2 if "ros2" in plugins else {},
-            "sessionId": client.identity,
+            "sessionId": catalogue.identity,  # a viewer that comes back goes on with what it has
         }
         client.outbox.reply(write("serverInfo", **info), text=True)
         self._showing = asyncio.ensure_future(self._show())
