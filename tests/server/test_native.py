@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import threading
 from typing import Any
 
@@ -191,6 +192,25 @@ def test_every_wrong_message_has_its_error(talk: Connect, binary: bool) -> None:
     assert "frame" in client.answer(None)["jsonMessage"]["text"]
     assert client.refused("Data", "c99", {"value": 1})["code"] == "unknown"
     assert client.ask("List")
+
+
+@pytest.mark.parametrize(
+    ("op", "kind", "message", "field"),
+    [
+        ("Request", "numbers", {"wait": math.nan}, "jsonMessage.wait"),
+        ("Request", "numbers", {"every": math.nan}, "jsonMessage.every"),
+        ("Request", "numbers", {"queue": {"age": math.nan}}, "jsonMessage.queue.age"),
+        ("Record", "", {"functions": ["numbers"], "ring": math.nan}, "jsonMessage.ring"),
+        ("Call", "add", None, "x-timeout"),
+    ],
+)
+def test_a_bounded_number_is_one(
+    talk: Connect, op: str, kind: str, message: object, field: str
+) -> None:
+    more = {"x-timeout": math.nan} if field == "x-timeout" else {}
+    error = talk(binary=True).refused(op, kind, message, **more)
+    assert error["code"] == "unreadable"
+    assert error["text"] == f"{op}: {field}: nan is not of type 'number'"
 
 
 def test_asking_twice_for_one_function_is_reported(talk: Connect) -> None:

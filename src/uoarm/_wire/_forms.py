@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +29,7 @@ from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import BudgetUse, ControlMessage, Message, Op, Schema, message_octets
 
 if TYPE_CHECKING:
-    from jsonschema import Draft202012Validator
+    from jsonschema.protocols import Validator
 
 ASKED = tuple(
     op.value
@@ -337,7 +338,18 @@ def _wrong_op(fields: Mapping[str, Any]) -> str:
 
 
 @cache
-def _validator(op: str) -> Draft202012Validator:
+def _validator(op: str) -> Validator:
     from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
+    from jsonschema.validators import extend  # noqa: PLC0415
 
-    return Draft202012Validator({**protocol_schema(), "$ref": f"#/$defs/client.{op}"})
+    is_type = Draft202012Validator.TYPE_CHECKER.is_type
+
+    def is_number(_: object, value: object) -> bool:
+        # CBOR has NaN, which is within any bounds.
+        is_nan = isinstance(value, float) and math.isnan(value)
+        return is_type(value, "number") and not is_nan
+
+    types = Draft202012Validator.TYPE_CHECKER.redefine("number", is_number)
+    checking = extend(Draft202012Validator, type_checker=types)  # type: ignore[no-untyped-call]
+    made: Validator = checking({**protocol_schema(), "$ref": f"#/$defs/client.{op}"})
+    return made
