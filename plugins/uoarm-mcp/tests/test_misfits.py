@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import math
 import os
 import random
 import select
@@ -107,6 +109,16 @@ def test_a_body_is_bounded_before_it_is_parsed(agents: Agents, body: bytes, stat
         "MCP-Protocol-Version": "2026-07-28",
     }
     assert httpx2.post(agents.url, content=body, headers=headers).status_code == status
+
+
+def test_nan_is_no_json(agents: Agents) -> None:
+    arguments = {"seconds": math.nan}  # within any bounds
+    body, headers = agents.request(
+        "tools/call", "read_numbers", name="read_numbers", arguments=arguments
+    )
+    headers["Content-Type"] = "application/json"
+    refused = httpx2.post(agents.url, content=json.dumps(body), headers=headers, timeout=patience())
+    assert (refused.status_code, refused.text[:8]) == (400, "not JSON")
 
 
 def _send_on(connection: socket.socket, octets: bytes) -> None:

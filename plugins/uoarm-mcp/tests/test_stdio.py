@@ -192,13 +192,24 @@ def test_what_is_too_long_or_no_message_is_left_out(tmp_path: Path, access: Path
         (b'{"jsonrpc": "2.0", "id": 1, "meth', -32700, "one message of JSON-RPC"),
         (b"{}", -32600, "one message of JSON-RPC"),
         (b'{"jsonrpc": "2.0", "id": 1, "method": "a\\ud800"}', -32700, "one message of JSON-RPC"),
+        (b'{"jsonrpc": "2.0", "id": 1, "method": "a", "params": {"a": NaN}}', -32600, "not JSON"),
         (b"[" * 200, -32600, "nested more than 64 levels deep"),
         (b"[" + b"0," * 510_000 + b"0]", -32600, "more than 500,000 values"),
         (b"x" * 3_000_000, -32700, "1,048,576 octets at most"),
         (b'{"jsonrpc": "2.0", "id": 1.5, "method": "ping"}', -32600, "string or a whole number"),
         (b'{"jsonrpc": "2.0", "id": null, "method": "ping"}', -32600, "string or a whole number"),
     ],
-    ids=["half", "no message", "half a character", "deep", "wide", "long", "real id", "no id"],
+    ids=[
+        "half",
+        "no message",
+        "half a character",
+        "NaN",
+        "deep",
+        "wide",
+        "long",
+        "real id",
+        "no id",
+    ],
 )
 def test_a_line_that_is_no_message_is_answered(
     tmp_path: Path, access: Path, line: bytes, code: int, reason: str

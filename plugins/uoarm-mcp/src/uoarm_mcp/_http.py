@@ -271,7 +271,7 @@ class AdmittingApp:
         if body is None:
             return
         try:
-            identity = id_of(text)
+            identity = id_of(text) if text else ""
         except ControlMessageError as error:
             await _answer(send, 400, coded_text(error))
             return

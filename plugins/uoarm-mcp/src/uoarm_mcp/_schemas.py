@@ -289,13 +289,14 @@ def id_of(text: str) -> str:
     """Return the id of a request; empty: it is no request.
 
     Raises:
-        ControlMessageError: it is none that a request may have. The SDK reads that as a
-            notification, and its client would wait for an answer.
+        ControlMessageError: it is no JSON: the SDK reads NaN, which is within any bounds. Or the id
+            is none that a request may have: the SDK reads that as a notification, and its client
+            would wait for an answer.
     """
     try:
         message = orjson.loads(text)
-    except orjson.JSONDecodeError:
-        return ""
+    except orjson.JSONDecodeError as error:
+        raise ControlMessageError(f"not JSON: {error}") from None
     if not isinstance(message, dict) or not message.keys() >= {"id", "method"}:
         return ""
     if type(message["id"]) not in {str, int}:
