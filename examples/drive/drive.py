@@ -36,7 +36,7 @@ class Pages(SimpleHTTPRequestHandler):
 def main() -> int:
     """Start all parts, and end them together."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robot-port", type=int, default=9080)
+    parser.add_argument("--port", type=int, default=9080)
     parser.add_argument("--page-port", type=int, default=9081)
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -57,7 +57,7 @@ def main() -> int:
         try:
             parts["base.py"] = subprocess.Popen((*run, str(HERE / "base.py")))
             parts["uoarm serve"] = server = subprocess.Popen(
-                (*serve, "--port", str(options.robot_port)), stdout=subprocess.PIPE
+                (*serve, "--port", str(options.port)), stdout=subprocess.PIPE
             )
             assert server.stdout is not None
             if served := server.stdout.readline().decode():  # "serving ADDRESS ...", or it ends

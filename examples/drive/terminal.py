@@ -16,7 +16,8 @@ async def drive(url: str, speed: float, turn: float, seconds: float) -> None:
     """Hold one command for some seconds."""
     none = {"x": 0.0, "y": 0.0, "z": 0.0}
     command = {"linear": {**none, "x": speed}, "angular": {**none, "z": turn}}
-    async with connect(url) as robot:
+    # A base that has stopped because its server was lost is not driven again by itself.
+    async with connect(url, resume=False, reconnect=0) as robot:
         base = await robot.request("drive", wait=30)
         async with base.hold(command):
             await asyncio.sleep(seconds)

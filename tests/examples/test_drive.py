@@ -19,7 +19,7 @@ from uoarm.testing import patience, wait
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "drive"
 DOMAIN = str(64 + os.getpid() % 38)
-PORTS = ("--robot-port", "0", "--page-port", "0")
+PORTS = ("--port", "0", "--page-port", "0")
 pytestmark = pytest.mark.needs("chromium", "ros2")
 
 

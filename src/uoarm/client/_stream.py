@@ -222,7 +222,9 @@ class RemoteStream(Generic[T]):
         """Renew a command for the length of an `async with` block, and stop at its end.
 
         Gives a `HeldCommand`, whose `message` may be replaced meanwhile and whose `error` says why
-        it is not renewed any more; that is raised at the end of the block.
+        it is not renewed any more; that is raised at the end of the block. While the link is down,
+        that end waits until the server has the stop, or the client gives it up: half a minute, and
+        `reconnect` seconds. By then the lifetime has long stopped what moves.
 
         Args:
             message: the command.
