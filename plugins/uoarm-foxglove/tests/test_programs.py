@@ -61,7 +61,7 @@ def test_the_protocols_own_client_sees_publishes_and_calls(
         return [json.loads(line) for line in lines if line.endswith("\n")]
 
     try:
-        wait(lambda: numbers_script.started and loose_script.started, "no subscription", patience())
+        wait(lambda: numbers_script.started and loose_script.started, "no subscription")
         numbers_script.put({"data": -5})
         loose_script.put({"text": "x"})
         for expected in (
@@ -70,12 +70,11 @@ def test_the_protocols_own_client_sees_publishes_and_calls(
             {"topic": "/loose", "message": {"text": "x"}},
             {"call": 5, "reply": {"data": 3}},
         ):
-            wait(lambda: expected in seen(), f"no {expected}: {seen()}", patience())  # noqa: B023
+            wait(lambda: expected in seen(), f"no {expected}: {seen()}")  # noqa: B023
         assert not [item for item in seen() if "error" in item or "status" in item]
         wait(
             lambda: any("/numbers" in item.get("published", ()) for item in seen()),
             "the graph does not have it",
-            patience(),
         )
     finally:
         assert viewer.stdin is not None

@@ -31,7 +31,7 @@ from uoarm.config import loads
 from uoarm.server import Limits, ServerOptions, serve_in_thread
 from uoarm.server.access import AccessRole, hash_token, make_token
 from uoarm.server.front_end import BusyError
-from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.testing import MemoryBridge, wait
 
 HEADER = b"\0\1\0\0"
 
@@ -161,7 +161,7 @@ def test_two_viewers_get_the_same_message_each_by_its_own_number(serve: Serve) -
         for number, viewer in viewers.items():
             viewer.subscribe("/numbers", number)
         for viewer in viewers.values():
-            wait(partial(gets_one, viewer), "it gets nothing", patience())
+            wait(partial(gets_one, viewer), "it gets nothing")
         numbers_script.put({"data": 4})
         for number, viewer in viewers.items():
             while (got := viewer.until(1))["data"] != int32(4):
@@ -192,7 +192,7 @@ def test_no_more_comes_after_unsubscribing(serve: Serve, robot: RobotManager) ->
         numbers_script.put({"data": 1})
         viewer.until(1)
         viewer.send("unsubscribe", subscriptionIds=[1])
-        wait(lambda: not robot.status().connections, "it stays open", patience())
+        wait(lambda: not robot.status().connections, "it stays open")
         viewer.send("unsubscribe", subscriptionIds=[1])
         assert "there is no 1" in viewer.until("status")["message"]
 
@@ -210,13 +210,13 @@ def test_what_a_viewer_publishes_reaches_the_input(
             channels=[{"id": 3, "topic": "/echo", "encoding": encoding, "schemaName": "Int32"}],
         )
         viewer.publish(3, octets)
-        wait(lambda: components.taken == [{"data": 7}], "nothing arrived", patience())
+        wait(lambda: components.taken == [{"data": 7}], "nothing arrived")
         viewer.publish(3, b"{}" if encoding == "json" else HEADER)
         status = viewer.until("status")
         assert status["level"] == 2
         assert "data" in status["message"] or "cannot be read" in status["message"], status
         viewer.publish(3, octets)
-        wait(lambda: len(components.taken) == 2, "the next one is lost", patience())
+        wait(lambda: len(components.taken) == 2, "the next one is lost")
 
 
 def test_octets_of_another_type_of_ros_reach_no_input(serve: Serve) -> None:
@@ -228,7 +228,7 @@ def test_octets_of_another_type_of_ros_reach_no_input(serve: Serve) -> None:
         viewer.publish(0, HEADER + struct.pack("<f", 0.5))
         assert "expected a message of std_msgs/msg/Int32" in viewer.until("status")["message"]
         viewer.publish(1, int32(7))
-        wait(lambda: components.taken == [{"data": 7}], "nothing arrived", patience())
+        wait(lambda: components.taken == [{"data": 7}], "nothing arrived")
 
 
 @pytest.mark.parametrize(
@@ -399,7 +399,7 @@ def test_a_viewer_that_does_not_read_gets_what_is_newest(serve: Serve, robot: Ro
     server = serve(Limits(queue_messages=8))
     with Viewer(server) as viewer:
         viewer.subscribe("/picture")
-        wait(lambda: pictures_script.started, "nothing plays", patience())
+        wait(lambda: pictures_script.started, "nothing plays")
         count, most = 200, 0
         for number in range(count):
             pictures_script.put({"width": number, "data": bytes(1_000_000)})
@@ -407,7 +407,6 @@ def test_a_viewer_that_does_not_read_gets_what_is_newest(serve: Serve, robot: Ro
         wait(
             lambda: sum(route.delivered for route in robot.status().routes) >= count,
             "not all were emitted",
-            patience(),
         )
         seen: list[int] = []
         while not seen or seen[-1] != count - 1:
@@ -422,7 +421,7 @@ def test_many_messages_to_one_viewer_are_all_there(serve: Serve) -> None:
     count = 4_000
     with Viewer(serve(Limits(queue_messages=count, queue_seconds=600.0))) as viewer:
         viewer.subscribe("/numbers")
-        wait(lambda: numbers_script.started, "nothing plays", patience())
+        wait(lambda: numbers_script.started, "nothing plays")
         for start in range(0, count, 50):
             numbers_script.put(*({"data": number} for number in range(start, start + 50)))
             assert [viewer.until(1)["data"] for _ in range(50)] == [
@@ -443,7 +442,7 @@ def test_one_that_is_wrong_costs_none_of_those_beside_it(serve: Serve) -> None:
             ),
             "and 7 more are refused (UOA-502)",
         ]
-        wait(lambda: numbers_script.started, "nothing plays", patience())
+        wait(lambda: numbers_script.started, "nothing plays")
         numbers_script.put({"data": 3})
         assert viewer.until(1)["subscription"] == 4
         stated = {"encoding": "json", "schemaName": ""}

@@ -49,7 +49,7 @@ class Broker:
         file.write_text("\n".join(lines), encoding="utf-8")
         with (self.folder / "log").open("ab") as log:
             self._process = subprocess.Popen([PROGRAM, "-c", str(file)], stdout=log, stderr=log)
-        wait(self._answers, "Mosquitto does not answer", patience())
+        wait(self._answers, "Mosquitto does not answer")
 
     def kill(self) -> None:
         """End it without a word, as a loss of power does."""

@@ -98,7 +98,7 @@ class TestTopics:
         peer.publish("wild/a/temperature", "1")
         peer.publish("wild/a/humidity", "2")
         peer.publish("wild/b/temperature", "3")
-        assert collector.wait(2, patience()) == [
+        assert collector.wait(2) == [
             {"topic": "wild/a/temperature", "message": 1},
             {"topic": "wild/b/temperature", "message": 3},
         ]
@@ -108,25 +108,25 @@ class TestTopics:
         for number in range(5):
             peer.publish("over/x", str(number))
         for listener in listeners:
-            assert listener.wait(5, patience()) == [0, 1, 2, 3, 4]
+            assert listener.wait(5) == [0, 1, 2, 3, 4]
 
     def test_each_new_consumer_gets_what_is_retained_and_none_twice(
         self, bridge: Bridge, peer: Peer
     ) -> None:
         peer.publish("kept/map", "1", retain=True)
         first, _ = listen(bridge, "kept/map", retain=True)
-        assert first.wait(1, patience()) == [1]
+        assert first.wait(1) == [1]
         second, leaving = listen(bridge, "kept/map", retain=True)
         fresh, _ = listen(bridge, "kept/map")
-        assert second.wait(1, patience()) == [1]
+        assert second.wait(1) == [1]
         peer.publish("kept/map", "2", retain=True)
-        assert first.wait(2, patience()) == [1, 2]
-        assert second.wait(2, patience()) == [1, 2]
-        assert fresh.wait(1, patience()) == [2], "a port without `retain` gets what is new"
+        assert first.wait(2) == [1, 2]
+        assert second.wait(2) == [1, 2]
+        assert fresh.wait(1) == [2], "a port without `retain` gets what is new"
         leaving.close()
         peer.publish("kept/map", "3", retain=True)
-        assert first.wait(3, patience()) == [1, 2, 3]
-        assert fresh.wait(2, patience()) == [2, 3]
+        assert first.wait(3) == [1, 2, 3]
+        assert fresh.wait(2) == [2, 3]
 
     def test_what_is_sent_with_retain_stands(self, bridge: Bridge, peer: Peer) -> None:
         sink = speak(bridge, "kept/by/us", retain=True)
@@ -135,7 +135,7 @@ class TestTopics:
             speak(bridge, "kept/octets", retain=True, content="octets").send(b"")
         assert sink.drain(patience())
         came = peer.collect("kept/by/us")
-        wait(lambda: came, "it was not retained", patience())
+        wait(lambda: came, "it was not retained")
         assert (came[0].payload, came[0].retain) == (b'{"a":1}', True)
         assert came[0].properties.ContentType == "application/json"
 
@@ -146,9 +146,7 @@ class TestTopics:
             for number in range(10):
                 peer.publish("work/items", str(number))
             both = (first, second)
-            wait(
-                lambda: sum(len(collector.messages) for collector in both) == 10, "lost", patience()
-            )
+            wait(lambda: sum(len(collector.messages) for collector in both) == 10, "lost")
             assert sorted([*first.messages, *second.messages]) == list(range(10))
             assert first.messages, "the other got everything"
             assert second.messages, "the other got everything"
@@ -156,7 +154,7 @@ class TestTopics:
     def test_a_message_expires_with_its_option(self, bridge: Bridge, peer: Peer) -> None:
         came = peer.collect("expiring")
         speak(bridge, "expiring", expiry=60, qos=2).send(1)
-        wait(lambda: came, "it did not come", patience())
+        wait(lambda: came, "it did not come")
         assert came[0].properties.MessageExpiryInterval == 60
 
     @pytest.mark.parametrize("qos", [0, 1, 2])
@@ -167,7 +165,7 @@ class TestTopics:
             sink.send(number)
         assert sink.drain(patience())
         assert sink.facts()["under_way"] == 0
-        assert collector.wait(100, patience()) == list(range(100))
+        assert collector.wait(100) == list(range(100))
 
     def test_the_broker_says_when_no_client_listens(self, bridge: Bridge) -> None:
         sink = speak(bridge, "no/listener")
@@ -210,7 +208,7 @@ class TestBudget:
             collector, source = listen(bridge, "budget")
             peer.publish("budget", payload)
             peer.publish("budget", b"7")
-            assert collector.wait(1, patience()) == [7]
+            assert collector.wait(1) == [7]
             assert (source.unreadable, events) == (1, [])
             [said] = collector.unread
             assert said.startswith("budget: a payload of ")
@@ -226,7 +224,7 @@ class TestBudget:
         collector, source = listen(bridge, "typed")
         peer.publish("typed", b"1", ContentType="image/png")
         peer.publish("typed", b"2", ContentType="application/vnd.mine+json")
-        assert collector.wait(1, patience()) == [2]
+        assert collector.wait(1) == [2]
         assert source.unreadable == 1
 
     def test_a_receiver_that_is_stuck_costs_a_bounded_backlog(
@@ -239,8 +237,8 @@ class TestBudget:
                 collector.wait_begun(1, patience())
                 for number in range(1, 9):
                     peer.publish("stuck", str(number))
-                wait(lambda: source.facts()["lost_on_link"] == 5, str(source.facts()), patience())
-            assert collector.wait(4, patience()) == [0, 6, 7, 8]
+                wait(lambda: source.facts()["lost_on_link"] == 5, str(source.facts()))
+            assert collector.wait(4) == [0, 6, 7, 8]
 
 
 class TestStructures:
@@ -256,7 +254,7 @@ class TestStructures:
             assert wide is not None
             collector, _ = listen(bridge, "lab/counter", wide, with_topic=True)
             peer.publish("lab/counter", '{"n": 7.0}')
-            (came,) = collector.wait(1, patience())
+            (came,) = collector.wait(1)
             assert came == {"topic": "lab/counter", "message": {"n": 7}}
             assert type(came["message"]["n"]) is int
             (only,) = [
@@ -296,7 +294,7 @@ class TestStructures:
             peer.publish(f"many/{number}", "1", retain=True)
         wanted = {"topics": ["many/#"], "seconds": 600, "most": 5}
         with bridge_to(broker, discover=wanted) as bridge:
-            assert len(bridge.discover(timeout=patience())) == 5
+            assert len(bridge.discover()) == 5
 
 
 class TestPresence:
@@ -317,7 +315,7 @@ class TestPresence:
             with pytest.raises(BridgeError, match='says "OFF"'):
                 bridge.open_source(place, ANYTHING, lambda _: None)
             peer.publish("v/1/connection", json.dumps({"state": "ON"}), retain=True)
-            wait(lambda: len(events) == 3, f"{events}", patience())
+            wait(lambda: len(events) == 3, f"{events}")
             bridge.describe(place)
 
     def test_two_with_one_name_on_two_topics_are_two(self, broker: Broker) -> None:
@@ -348,7 +346,7 @@ class TestPresence:
 
         def describe(bridge: Bridge, name: str) -> None:
             place = endpoint(name, presence={"topic": f"{name}/there"})
-            bridge.describe(place, timeout=patience())
+            bridge.describe(place)
 
         monkeypatch.setattr(_link.BrokerConnection, "subscribe", late)
         for name in ("slow", "quick"):
@@ -367,8 +365,8 @@ class TestPresence:
         came = peer.collect("robots/ours")
         with bridge_to(broker, presence={"topic": "robots/ours"}) as bridge:
             bridge.describe(endpoint("anything"))
-            wait(lambda: came, "no birth", patience())
-        wait(lambda: len(came) == 2, "no goodbye", patience())
+            wait(lambda: came, "no birth")
+        wait(lambda: len(came) == 2, "no goodbye")
         assert [item.payload for item in came] == [b"online", b"offline"]
 
 
@@ -380,7 +378,7 @@ class TestServices:
         with bridge_to(broker, client_id="lab+arm #1/é") as bridge:
             assert bridge.discover() is not None
             place = endpoint("any/name", Role.SERVICE)
-            assert bridge.call(place, 7, timeout=patience()) == 7
+            assert bridge.call(place, 7) == 7
 
     def test_filters_may_have_every_form(self, broker: Broker) -> None:
         topics = ["#", "+", "+/+", "a/+/b", "/a", "a//b", "/", "a/#", "+/#", "$SYS/#", "é ☃/+"]
@@ -391,7 +389,7 @@ class TestServices:
     def test_an_absent_service_is_reported_at_once(self, bridge: Bridge) -> None:
         place = endpoint("no/service", Role.SERVICE)
         with pytest.raises(BridgeError, match="no client is subscribed") as caught:
-            bridge.call(place, {}, timeout=patience())
+            bridge.call(place, {})
         assert not isinstance(caught.value, BridgeTimeoutError)
 
     def test_a_call_that_waits_for_its_reply_ends_as_the_bridge_closes(
@@ -403,7 +401,7 @@ class TestServices:
         call = Background(lambda: bridge.call(place, 1, timeout=2 * patience()))
         assert asked.wait(patience())
         link: Any = bridge
-        wait(lambda: not link._broker._pending, "the broker did not take it", patience())
+        wait(lambda: not link._broker._pending, "the broker did not take it")
         bridge.close(timeout=patience())
         with pytest.raises(BridgeError, match="the bridge was closed"):
             call.result()
@@ -452,13 +450,13 @@ class TestServices:
                 "served/double", payload, ResponseTopic="answers/mine", CorrelationData=payload
             )
         peer.publish("served/double", b"1")
-        wait(lambda: len(came) == 4, "not answered", patience())
+        wait(lambda: len(came) == 4, "not answered")
         assert [item.properties.CorrelationData for item in came] == [b"21", b"-1", b"{", b"0"]
         assert came[0].payload == b"42"
         assert "of no negative number" in dict(came[1].properties.UserProperty)["error"]
         assert "MessageError" in dict(came[2].properties.UserProperty)["error"]
         assert "SystemExit" in dict(came[3].properties.UserProperty)["error"]
-        wait(lambda: channel.facts()["unanswerable"] == 1, f"{channel.facts()}", patience())
+        wait(lambda: channel.facts()["unanswerable"] == 1, f"{channel.facts()}")
 
     @pytest.mark.parametrize("said", ["two\nlines", "nul\0", "del\x7f", "none\ufdd0", "\U0001ffff"])
     def test_a_failure_in_any_words_is_reported_and_breaks_no_connection(
@@ -472,7 +470,7 @@ class TestServices:
         place = endpoint("served/words", Role.SERVICE)
         bridge.serve(place, answer)
         with pytest.raises(BridgeError, match=r"the service failed: ValueError: 1: .* \U0001f600"):
-            bridge.call(place, 1, timeout=patience())
+            bridge.call(place, 1)
         assert not events
 
     def test_a_service_that_the_broker_takes_no_more_after_a_break_is_lost(
@@ -485,7 +483,7 @@ class TestServices:
             calls = bridge._calls  # type: ignore[attr-defined]
             place = endpoint("served/elsewhere", Role.SERVICE)
             with pytest.raises(BridgeError):
-                bridge.call(place, 1, timeout=patience())
+                bridge.call(place, 1)
             note = _link.BrokerConnection._note
 
             def refused(self: Any, key: Any, pending: Any, *more: Any) -> None:
@@ -535,7 +533,7 @@ class TestBroker:
             collector, source = listen(bridge, "resumed", retain=True)
             sink = speak(bridge, "resumed")
             sink.send(0)
-            collector.wait(1, patience())
+            collector.wait(1)
             # Else it may be sent again: a subscriber has it before the sender its acknowledgement.
             assert sink.drain(patience())
             broker.kill()
@@ -548,7 +546,7 @@ class TestBroker:
             broker.start()
             until(events, Health.OK)
             sink.send(1)
-            assert collector.wait(2, patience()) == [0, 1]
+            assert collector.wait(2) == [0, 1]
             assert source.facts()["interruptions"] == 1
             assert [event.health for event in events] == [Health.DEGRADED, Health.OK]
 
@@ -563,17 +561,17 @@ class TestBroker:
             events = health_events(bridge)
             collector, _ = listen(bridge, kept, retain=True, presence=there)
             same, _ = listen(bridge, "break/same", retain=True)
-            assert collector.wait(1, patience()) == same.wait(1, patience()) == [1]
+            assert collector.wait(1) == same.wait(1) == [1]
             proxy.cut(admit=False)
             until(events, Health.DEGRADED)
             peer.publish(kept, "2", qos=0, retain=True)
             peer.publish("break/there", "gone", qos=0, retain=True)
             peer.publish("break/meanwhile", "")  # once this is answered the broker has both
             proxy.admit()
-            assert collector.wait(2, patience()) == [1, 2]
+            assert collector.wait(2) == [1, 2]
             assert until(events, Health.LOST).component == f"component of {kept}"
             peer.publish("break/same", "2")
-            assert same.wait(2, patience()) == [1, 2], "what stands came twice"
+            assert same.wait(2) == [1, 2], "what stands came twice"
 
     def test_a_shared_subscription_closed_in_a_break_takes_nothing_more(
         self, broker: Broker, peer: Peer
@@ -589,7 +587,7 @@ class TestBroker:
             until(events, Health.OK)
             for number in range(6):
                 peer.publish("break/work", str(number))
-            assert staying.wait(6, patience()) == [*range(6)]
+            assert staying.wait(6) == [*range(6)]
 
     def test_away_for_longer_than_its_grace_it_is_lost_once(self, tmp_path: Path) -> None:
         with running(tmp_path / "broker") as broker, bridge_to(broker, grace=0.5) as bridge:
@@ -670,7 +668,7 @@ class TestBroker:
                 sink.send("x" * 3000)
             for number in range(50):
                 sink.send(number)
-            assert collector.wait(50, patience()) == list(range(50))
+            assert collector.wait(50) == list(range(50))
             assert not events
             paho_of(bridge).publish("limited", "x" * 3000)  # past what holds the limit
             assert "Packet too large (reason code 0x95)" in until(events, Health.DEGRADED).cause
@@ -735,7 +733,7 @@ class TestBroker:
                 events = health_events(bridge)
                 collector, _ = listen(bridge, "ours/a")
                 speak(bridge, "ours/a").send(1)
-                assert collector.wait(1, patience()) == [1]
+                assert collector.wait(1) == [1]
                 for qos in (1, 2):
                     sink = speak(bridge, "theirs/a", qos=qos)
                     sink.send(1)
@@ -758,7 +756,7 @@ class TestBroker:
             with bridge_to(broker, url=url, tls=ours) as bridge:
                 collector, _ = listen(bridge, "encrypted")
                 speak(bridge, "encrypted").send({"a": "x" * 100_000})
-                collector.wait(1, patience())
+                collector.wait(1)
             for tls, why in (
                 (
                     {**ours, "ca": f"{tmp_path}/stranger.pem"},
@@ -816,18 +814,18 @@ class TestBroker:
                 events = health_events(bridge)
                 collector, _ = listen(bridge, "a")
                 speak(bridge, "a").send(1)
-                assert collector.wait(1, patience()) == [1]
+                assert collector.wait(1) == [1]
                 broker.stop()
                 until(events, Health.DEGRADED)
                 ours = (tmp_path / "us.pem").read_bytes()
                 (tmp_path / "us.pem").write_text("half of it")
-                wait(lambda: "what was read before is used" in caplog.text, caplog.text, patience())
+                wait(lambda: "what was read before is used" in caplog.text, caplog.text)
                 (tmp_path / "us.pem").write_bytes(ours)
                 renew("open barley")
                 broker.start()
                 until(events, Health.OK)
                 speak(bridge, "a").send(2)
-                assert collector.wait(2, patience()) == [1, 2]
+                assert collector.wait(2) == [1, 2]
                 assert "barley" not in f"{caplog.text}{vars(bridge)}"
         finally:
             broker.stop()

@@ -100,12 +100,12 @@ def test_what_is_noted_after_a_break_is_answered(
     assert gate.reached.wait(patience())
     monkeypatch.undo()
     if is_answered:
-        wait(lambda: link._early, "not answered", patience())
+        wait(lambda: link._early, "not answered")
     breaks = link.breaks
     broken = link._client.socket()
     assert isinstance(broken, socket.socket)
     broken.shutdown(socket.SHUT_RDWR)
-    wait(lambda: link.breaks > breaks, "it did not break", patience())
+    wait(lambda: link.breaks > breaks, "it did not break")
     gate.opened.set()
     publishing.result()
     wait(lambda: reports, "never answered", 10.0)
@@ -150,7 +150,7 @@ def test_a_first_call_as_it_closes_leaves_no_connection(
     gate, disconnect = Gate(), link._client.disconnect
 
     def once_it_is_up(**more: Any) -> Any:
-        wait(lambda: link._up, "it does not come up", patience())
+        wait(lambda: link._up, "it does not come up")
         return disconnect(**more)
 
     if comes_up:
@@ -198,7 +198,7 @@ def test_a_receiver_that_raises_ends_no_other(
     link.subscribe(Receiver("raising/a", came.append))
     for payload in (b"1", b"2"):
         link.publish("raising/a", payload, lambda _: None)
-        wait(lambda: came and came[-1].payload == payload, f"{came}", patience())  # noqa: B023
+        wait(lambda: came and came[-1].payload == payload, f"{came}")  # noqa: B023
     assert link._up
     link.close()
     assert "m: a message on raising/a was not taken" in caplog.text
@@ -240,7 +240,7 @@ def test_a_broker_that_sends_more_than_it_was_asked_for_is_left(
             held = link._client._in_messages
             with suppress(ConnectionError):
                 connection.sendall(b"".join(sent))
-            wait(lambda: causes, "it is not left", patience())
+            wait(lambda: causes, "it is not left")
         server.close()
         assert cause in causes[0]
         assert len(held) <= 21

@@ -14,7 +14,7 @@ from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_mqtt._options import MqttOptions, TopicOptions
 
 from uoarm.bridge import options_table
-from uoarm.testing import patience, wait
+from uoarm.testing import wait
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "mqtt.md"
@@ -45,10 +45,10 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
             said[:] = [process.stdout + process.stderr for process in done]
             return not any(process.returncode for process in done)
 
-        wait(answered, "the peers of the example did not come up", patience())
+        wait(answered, "the peers of the example did not come up")
         assert "".join(said) == printed
         assert run_python("-c", program, cwd=tmp_path).returncode == 0
-        wait(lambda: lamp, "the lamp received nothing", patience())
+        wait(lambda: lamp, "the lamp received nothing")
         assert lamp[0].payload == b'"on"'
     finally:
         os.killpg(shell.pid, 15)

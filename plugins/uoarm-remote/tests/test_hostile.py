@@ -135,7 +135,7 @@ def test_what_is_no_plan_is_refused_with_whose_it_is(meet: Meet, answer: Any, sa
         return True
 
     with pytest.raises(ResolutionError, match="its plan of 'f' cannot be read") as caught:
-        meet(lie).request("f", timeout=patience())
+        meet(lie).request("f")
     assert said in str(caught.value)
     assert "the manager at ws://127.0.0.1:" in str(caught.value)
 
@@ -167,7 +167,7 @@ def flooding(*strange: object) -> Answer:
 
 def test_a_link_that_is_flooded_is_closed_at_once(meet: Meet) -> None:
     manager = meet(flooding())
-    connection = manager.request("f", timeout=patience())
+    connection = manager.request("f")
     connection.get(patience())
     manager.close()
     assert not link_threads()
@@ -175,7 +175,7 @@ def test_a_link_that_is_flooded_is_closed_at_once(meet: Meet) -> None:
 
 def test_something_strange_in_a_flood_ends_the_connection(meet: Meet) -> None:
     manager = meet(flooding({"op": "Status", "type": "change", "jsonMessage": {}}))
-    connection = manager.request("f", timeout=patience())
+    connection = manager.request("f")
     wait(lambda: connection.state.value == "failed", "it was not noticed")
     assert "the server sent what is no message" in connection.cause
 
@@ -221,7 +221,7 @@ def test_half_a_message_breaks_the_link_for_one_cause(
     meet: Meet, end: Callable[[ServerConnection], None], silence: float, why: str
 ) -> None:
     read = threading.Event()
-    connection = meet(halving(read, end), silence).request("f", timeout=patience())
+    connection = meet(halving(read, end), silence).request("f")
     assert connection.get(patience()) == 1
     read.set()
     wait(lambda: connection.state.value == "failed", "it was not noticed")
@@ -245,7 +245,7 @@ def test_a_frame_of_half_a_message_ends_the_connection(meet: Meet) -> None:
         await connection.send(content[: len(content) // 2])
         return True
 
-    connection = meet(halve).request("f", timeout=patience())
+    connection = meet(halve).request("f")
     connection.get(patience())
     read.set()
     wait(lambda: connection.state.value == "failed", "it was not noticed")
@@ -282,5 +282,5 @@ def test_messages_are_as_they_are_counted_whatever_their_numbers(meet: Meet) -> 
             await connection.send(BINARY_FORM.write_data("c1", place, place))
         return True
 
-    with meet(number).request("f", timeout=patience()) as connection:
+    with meet(number).request("f") as connection:
         assert [connection.get(patience()) for _ in range(4)] == [5, 1, -3, 10**12]

@@ -73,7 +73,7 @@ def facts_of(manager: RobotManager) -> dict[str, object]:
 
 def can_call(manager: RobotManager) -> bool:
     with suppress(BridgeError, ResolutionError):
-        return bool(manager.call("double", {"value": 2}, timeout=patience()) == {"value": 4})
+        return bool(manager.call("double", {"value": 2}) == {"value": 4})
     return False
 
 
@@ -89,12 +89,12 @@ def test_streams_commands_and_services_pass(robot: ServedRobot, desk: Desk) -> N
     with manager.request("drive") as drive:
         drive.send({"speed": 0.5})
         wait(lambda: 0.5 in stage.taken, "the command did not arrive")
-    assert manager.call("double", {"value": 21}, timeout=patience()) == {"value": 42}
+    assert manager.call("double", {"value": 21}) == {"value": 42}
 
 
 def test_the_address_may_have_a_path_as_below_a_proxy(robot: ServedRobot, desk: Desk) -> None:
     manager = desk(f"{robot.url}uoarm")
-    assert manager.call("double", {"value": 21}, timeout=patience()) == {"value": 42}
+    assert manager.call("double", {"value": 21}) == {"value": 42}
 
 
 def test_a_message_that_is_longer_than_the_other_takes_ends_nothing_else(
@@ -103,8 +103,8 @@ def test_a_message_that_is_longer_than_the_other_takes_ends_nothing_else(
     manager = desk(robot.url)
     with manager.request("counter") as counter:
         with pytest.raises(MessageError, match="the server takes 16,777,216 at most"):
-            manager.call("length", "x" * 17_000_000, timeout=patience())
-        assert manager.call("length", "x" * 100_000, timeout=patience()) == {"value": 100_000}
+            manager.call("length", "x" * 17_000_000)
+        assert manager.call("length", "x" * 100_000) == {"value": 100_000}
         for _ in range(3):
             counter.get(patience())
         assert not counter.gaps
@@ -127,10 +127,10 @@ def test_an_authority_that_was_renewed_is_trusted_from_the_next_connection_on(
     with serve_in_thread(robot.manager, options) as server:
         port = server.ports[0]
         manager = desk(f"wss://127.0.0.1:{port}/", f", tls: {{ca: '{trusted}'}}")
-        assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+        assert manager.call("double", {"value": 1}) == {"value": 2}
     renew()
     with serve_in_thread(robot.manager, evolve(options, port=port)):
-        wait(lambda: can_call(manager), "the link is not made anew", patience())
+        wait(lambda: can_call(manager), "the link is not made anew")
 
 
 def test_a_link_that_ends_in_no_known_way_is_made_anew(
@@ -146,9 +146,9 @@ def test_a_link_that_ends_in_no_known_way_is_made_anew(
     monkeypatch.setattr(RemoteRobot, "ended", failing_once)
     manager = desk(robot.url)
     with suppress(BridgeError, ResolutionError):  # as it fails: nothing or the answer
-        manager.call("double", {"value": 1}, timeout=patience())
-    wait(lambda: not failures, "it did not fail", patience())
-    wait(lambda: can_call(manager), "the link is not made anew", patience())
+        manager.call("double", {"value": 1})
+    wait(lambda: not failures, "it did not fail")
+    wait(lambda: can_call(manager), "the link is not made anew")
 
 
 def test_a_kill_here_ends_there_what_only_this_used(robot: ServedRobot, desk: Desk) -> None:
@@ -186,14 +186,14 @@ def test_what_was_closed_as_the_link_dropped_ends_there_and_opens_again(
         proxy.cut()
         wait(lambda: facts_of(manager)["breaks"] == 1, "the break was not noticed")
         wait(lambda: answers(manager), "the link is not up again")
-        with manager.request("counter", timeout=patience()) as counter:
+        with manager.request("counter") as counter:
             counter.get(patience())
     wait(lambda: not robot.manager.status().connections, "a connection there is still open")
 
 
 def answers(manager: RobotManager) -> bool:
     try:
-        return bool(manager.call("double", {"value": 1}, timeout=patience()))
+        return bool(manager.call("double", {"value": 1}))
     except (BridgeError, ResolutionError):
         return False
 
@@ -247,7 +247,7 @@ def test_what_another_robot_gives_at_the_same_address_is_proven_again(desk: Desk
             manager.request("drive") as drive,
         ):
             wait(lambda: came, "nothing came")
-            assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+            assert manager.call("double", {"value": 1}) == {"value": 2}
             robot.close()
             robot = ServedRobot(other, port=robot.port)
             for connection in (counter, drive):
@@ -265,11 +265,11 @@ def test_a_service_that_is_another_there_by_now_is_described_again(desk: Desk) -
     robot = ServedRobot()
     try:
         manager = desk(robot.url)
-        assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+        assert manager.call("double", {"value": 1}) == {"value": 2}
         other = ROBOT.replace('"parts:double"', '"otherparts:twice"')
         robot.manager.apply(loads(other, origin=here()))
         with pytest.raises(MessageError, match="the field 'text' is missing"):
-            manager.call("double", {"value": 1}, timeout=patience())
+            manager.call("double", {"value": 1})
         wait(lambda: doubles(manager), "it is not described again")
     finally:
         robot.close()
@@ -277,7 +277,7 @@ def test_a_service_that_is_another_there_by_now_is_described_again(desk: Desk) -
 
 def doubles(manager: RobotManager) -> bool:
     try:
-        return bool(manager.call("double", {"text": "a"}, timeout=patience()) == {"text": "aa"})
+        return bool(manager.call("double", {"text": "a"}) == {"text": "aa"})
     except (BridgeError, MessageError, ResolutionError):
         return False
 
@@ -313,7 +313,7 @@ def test_the_status_says_that_the_manager_is_gone_where_nothing_is_open(
     robot: ServedRobot, proxy: Proxy, desk: Desk
 ) -> None:
     manager = desk(through(proxy))
-    manager.call("double", {"value": 1}, timeout=patience())
+    manager.call("double", {"value": 1})
 
     def bridge() -> tuple[str, str]:
         status = next(entry for entry in manager.status().bridges if entry.name == "robot3")
@@ -333,7 +333,7 @@ def test_a_call_to_a_manager_that_is_gone_ends_with_its_grace(proxy: Proxy, desk
 
     def call() -> None:
         try:
-            answers.append(manager.call("hidden", {"value": 1}, timeout=patience()))
+            answers.append(manager.call("hidden", {"value": 1}))
         except BridgeError as error:
             answers.append(error)
 
@@ -350,13 +350,11 @@ def test_a_call_that_is_cancelled_here_waits_no_longer(robot: ServedRobot) -> No
     silent = Endpoint("far", "silent", Role.SERVICE, ("silent",))
     bridge = Registry().create(BridgeSpec("far", "remote", {"url": robot.url}))
     with closing(bridge):
-        calling = Background(
-            lambda: bridge.call(silent, {"value": 1}, timeout=patience(), number=7)
-        )
+        calling = Background(lambda: bridge.call(silent, {"value": 1}, number=7))
         wait(stage.silent.is_set, "the call did not arrive")
         bridge.cancel_call(7)
         with pytest.raises(BridgeError, match="Call silent was cancelled"):
-            calling.result(patience())
+            calling.result()
 
 
 def test_where_something_died_is_said_in_one_sentence(robot: ServedRobot, desk: Desk) -> None:
@@ -380,18 +378,18 @@ def test_a_token_is_read_from_a_file_and_shown(tmp_path: Path, desk: Desk) -> No
     robot = ServedRobot(exported, access)
     try:
         manager = desk(robot.url, f', token_file: "{token}"')
-        assert manager.call("double", {"value": 2}, timeout=patience()) == {"value": 4}
+        assert manager.call("double", {"value": 2}) == {"value": 4}
         with pytest.raises(ResolutionError, match="export") as caught:
-            manager.call("hidden", {"value": 2}, timeout=patience())
+            manager.call("hidden", {"value": 2})
         assert TOKEN not in str(caught.value)
         wrong = tmp_path / "wrong"
         wrong.write_text(make_token(), encoding="utf-8")
         refused = desk(robot.url, f', token_file: "{wrong}"')
         with pytest.raises(ResolutionError, match="does not take the token"):
-            refused.call("double", {"value": 2}, timeout=patience())
+            refused.call("double", {"value": 2})
         absent = desk(robot.url, f', token_file: "{tmp_path / "none"}"')
         with pytest.raises(ResolutionError, match=r"token file .* cannot be read"):
-            absent.call("double", {"value": 2}, timeout=patience())
+            absent.call("double", {"value": 2})
     finally:
         robot.close()
 
@@ -409,7 +407,7 @@ def test_what_is_not_exported_and_what_is_not_there_look_alike(tmp_path: Path) -
             )
             with RobotManager(loads(text, origin=here("desk.yaml"))) as manager:
                 with pytest.raises(ResolutionError) as caught:
-                    manager.request("counter", timeout=patience())
+                    manager.request("counter")
                 texts.add(str(caught.value).split("export")[1].replace(name, "X"))
                 [found] = [item for item in manager.discover() if item.bridge == "robot3"]
                 assert [component.name for component in found.components] == ["double"]
@@ -431,7 +429,7 @@ def test_what_cannot_be_had_there_is_listed_without_ports(tmp_path: Path) -> Non
         BridgeSpec("far", "remote", {"url": robot.url, "discover": True, "timeout": patience()})
     )
     try:
-        found = {item.name: item for item in bridge.discover(timeout=patience())}
+        found = {item.name: item for item in bridge.discover()}
         assert len(found) == len(robot.manager.config.functions)
         assert not found["more19"].endpoints
         assert [endpoint.address for endpoint, _ in found["more7"].endpoints] == [("more7",)]
@@ -445,10 +443,10 @@ def test_a_manager_that_lists_nothing_is_seen_only_where_it_is_reached() -> None
     options = {"url": robot.url, "timeout": patience()}
     near, away = (Registry().create(BridgeSpec("far", "remote", options)) for _ in range(2))
     try:
-        assert near.discover(timeout=patience()) == ()
+        assert near.discover() == ()
         robot.close()
         with pytest.raises(BridgeError, match="not reached: nothing listens there"):
-            away.discover(timeout=patience())
+            away.discover()
     finally:
         near.close()
         away.close()
@@ -465,7 +463,7 @@ def test_a_manager_that_imports_itself_is_refused(desk: Desk) -> None:
     try:
         robot.manager.apply(loads(text, origin=here()))
         with pytest.raises(ResolutionError, match="a loop through managers"):
-            robot.manager.call("again", {"value": 1}, timeout=patience())
+            robot.manager.call("again", {"value": 1})
     finally:
         robot.close()
 
@@ -486,7 +484,7 @@ functions:
         text = imports.format(url=second.url, own="back", other="there")
         first.manager.apply(loads(text, origin=here()), force=True)
         with pytest.raises(ResolutionError, match="a loop through managers"):
-            first.manager.call("back", {"value": 1}, timeout=patience())
+            first.manager.call("back", {"value": 1})
     finally:
         second.close()
         first.close()
@@ -506,7 +504,7 @@ functions:
     middle = ServedRobot(between.format(url=robot.url, name="middle"))
     last = ServedRobot(between.format(url=middle.url, name="last"))
     try:
-        assert last.manager.call("double", {"value": 8}, timeout=patience()) == {"value": 16}
+        assert last.manager.call("double", {"value": 8}) == {"value": 16}
         plan = str(last.manager.resolve("first"))
         assert f"{middle.manager.identity}, then {robot.manager.identity}" in plan
         with last.manager.request("drive") as drive:
@@ -563,21 +561,21 @@ def test_an_emergency_stop_here_stops_there_what_others_move(tmp_path: Path, des
     robot = ServedRobot(ROBOT.replace('{local: ["*"]}', "{fleet: [double, drive]}"), access)
     try:
         manager = desk(robot.url, f', token_file: "{token}"')
-        manager.call("double", {"value": 1}, timeout=patience())
+        manager.call("double", {"value": 1})
         with robot.manager.request("drive") as own:  # of another application, there
             own.send({"speed": 0.5})
             wait(lambda: stage.taken == [0.5], "the command did not arrive")
-            report = manager.stop_all(timeout=patience())
+            report = manager.stop_all()
             assert stage.taken[-1] == 0.0
             assert [(item.component, item.stopped) for item in report.inputs] == [
                 ("robot3/base", True)
             ]
             assert robot.manager.status().held is not None
-            manager.release(timeout=patience())
+            manager.release()
             assert robot.manager.status().held is None
             robot.stop()
             wait(lambda: int(str(facts_of(manager)["breaks"])) == 1, "the break was not noticed")
-            report = manager.stop_all(timeout=patience())
+            report = manager.stop_all()
             (missed,) = report.inputs
             assert not report.stopped
             assert missed.component == "robot3"
@@ -593,8 +591,8 @@ def test_who_has_no_right_to_stop_there_stops_only_here(tmp_path: Path, desk: De
     robot = ServedRobot(ROBOT.replace('{local: ["*"]}', "{other: [double]}"), access)
     try:
         manager = desk(robot.url, f', token_file: "{token}"')
-        manager.call("double", {"value": 1}, timeout=patience())
-        report = manager.stop_all(timeout=patience())
+        manager.call("double", {"value": 1})
+        report = manager.stop_all()
         assert report.stopped
         assert not report.inputs
         assert not robot.manager.is_stopped
@@ -672,7 +670,7 @@ def test_what_waits_for_a_consumer_is_bounded_in_octets(
 
 def test_the_status_shows_the_other_manager_and_its_clock(robot: ServedRobot, desk: Desk) -> None:
     manager = desk(robot.url)
-    assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+    assert manager.call("double", {"value": 1}) == {"value": 2}
     facts = facts_of(manager)
     assert facts["manager"] == robot.manager.identity
     assert abs(float(str(facts["clock_ahead"]))) < patience()
@@ -699,7 +697,7 @@ def test_a_clock_that_is_set_on_either_side_is_measured_again(
     monkeypatch.setattr(_link, "time", ours)
     monkeypatch.setattr(_native, "time", theirs)
     manager = desk(robot.url)
-    assert manager.call("double", {"value": 1}, timeout=patience()) == {"value": 2}
+    assert manager.call("double", {"value": 1}) == {"value": 2}
 
     def ahead() -> int:
         return round(float(str(facts_of(manager)["clock_ahead"])) / 10_000)
@@ -743,4 +741,4 @@ def test_a_peer_that_is_not_there_is_named(desk: Desk) -> None:
         stack.callback(robot.close)
         robot.stop()
         with pytest.raises(ResolutionError, match=r"the manager at ws://127.0.0.1:\d+/: it is not"):
-            desk(robot.url).request("counter", timeout=patience())
+            desk(robot.url).request("counter")

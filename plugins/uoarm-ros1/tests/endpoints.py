@@ -30,7 +30,7 @@ class Reports:
             events = tuple(self.events)
             return [event for event in events if event.health is health and text in event.cause]
 
-        wait(lambda: bool(found()), f"no {health} with {text!r}: {self.events}", patience())
+        wait(lambda: bool(found()), f"no {health} with {text!r}: {self.events}")
         return found()[0]
 
 

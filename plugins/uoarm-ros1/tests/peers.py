@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from uoarm.testing import patience, wait
+from uoarm.testing import wait
 
 ROS_PYTHON = "/usr/bin/python3"  # what Debian installs belongs to it alone
 HERE = Path(__file__).parent
@@ -52,7 +52,7 @@ class Master:
                 stderr=log,
                 env=self.environment,
             )
-        wait(self._answers, "the master does not answer", patience())
+        wait(self._answers, "the master does not answer")
 
     def kill(self) -> None:
         """End it without a word, as a loss of power does."""
@@ -110,7 +110,7 @@ class RestartingMaster(Master):
     def kill(self) -> None:
         self._do(b"stop")
         # Its thread, which waits for a socket that is closed, has the port for half a second still.
-        wait(lambda: not self._listens(), "the master keeps its port", patience())
+        wait(lambda: not self._listens(), "the master keeps its port")
 
     def end(self) -> None:
         """End its process."""
@@ -161,7 +161,7 @@ class Peer:
             seen[0] = self.do(command, **given)
             return fits(seen[0])
 
-        wait(has_come, f"{command} {given}: what came last was {seen}", patience())
+        wait(has_come, f"{command} {given}: what came last was {seen}")
         return seen[0]
 
     def send_signal(self, number: int) -> None:

@@ -56,7 +56,7 @@ def test_an_answer_is_asked_for_once_for_all_that_wait() -> None:
     answer = SharedAnswer(ask)
     first = threading.Thread(target=lambda: found.append(answer.get()), daemon=True)
     first.start()
-    wait(lambda: bool(asked), "it is not asked", patience())
+    wait(lambda: bool(asked), "it is not asked")
     # All of these came after the first question was asked: the second one is for all of them.
     since = time.monotonic()
     others = [
@@ -121,11 +121,7 @@ def test_a_node_of_many_silent_topics_is_not_asked_for_each(
     with bridge_to(master, silence=patience() / 100, check=patience(), rosout=False) as bridge:
         sources = opened(bridge, topics)
         questions.clear()
-        wait(
-            lambda: all(asking[topic] > 1 for topic in topics),
-            "no publisher is asked",
-            patience(),
-        )
+        wait(lambda: all(asking[topic] > 1 for topic in topics), "no publisher is asked")
         # In each time of silence the node is asked twice at most; all topics ask once.
         assert 0 < questions["getPid"] <= sum(asking.values()) / 4
         assert not any(source.closed for source in sources)
@@ -142,7 +138,7 @@ def test_a_node_that_hangs_is_asked_once_whatever_is_lost_of_it(
     peer.send_signal(signal.SIGSTOP)
     with bridge_to(master, check=patience(), rosout=False) as bridge:
         assert isinstance(bridge, Ros1Bridge)
-        wait(lambda: bridge._master_health.is_up, "the master does not answer", patience())
+        wait(lambda: bridge._master_health.is_up, "the master does not answer")
         for topic in topics:
             bridge._remember(output(topic))
         questions.clear()
@@ -157,7 +153,7 @@ def test_nodes_that_hang_are_asked_at_once(master: Master, monkeypatch: pytest.M
     nodes = {f"/lost/{number}": (f"/node/{number}",) for number in range(3)}
     with bridge_to(master, check=patience(), rosout=False) as bridge:
         assert isinstance(bridge, Ros1Bridge)
-        wait(lambda: bridge._master_health.is_up, "the master does not answer", patience())
+        wait(lambda: bridge._master_health.is_up, "the master does not answer")
         hanging = threading.Barrier(len(nodes))
 
         def answers(_: str) -> bool:

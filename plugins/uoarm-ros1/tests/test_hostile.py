@@ -126,7 +126,7 @@ def test_a_master_that_lies_is_an_error_that_names_it(master: Master, lie: str) 
             bridge_to(master, master=uri) as bridge,
             pytest.raises(BridgeError, match=str(port)),
         ):
-            bridge.describe(output("/t"), timeout=patience())
+            bridge.describe(output("/t"))
 
 
 @pytest.mark.usefixtures("short")
@@ -146,7 +146,7 @@ def test_a_master_that_answers_drop_by_drop_is_given_up(master: Master) -> None:
             bridge_to(master, master=uri) as bridge,
             pytest.raises(BridgeError, match="no answer in time"),
         ):
-            bridge.describe(output("/t"), timeout=patience())
+            bridge.describe(output("/t"))
 
 
 def headers(*octets: bytes) -> Callable[[socket.socket], None]:
@@ -195,7 +195,7 @@ def test_a_publisher_that_lies_is_an_error_that_names_it(master: Master, what: s
                 uri = f"http://127.0.0.1:{master_port}"
                 with bridge_to(master, master=uri) as bridge:
                     with pytest.raises(BridgeError, match=words) as caught:
-                        bridge.describe(output("/t", INT), timeout=patience())
+                        bridge.describe(output("/t", INT))
                     assert "/bad" in str(caught.value)
                     assert len(str(caught.value)) < 3000
 
@@ -213,7 +213,7 @@ def test_a_definition_that_is_wrong_is_not_needed_where_the_sum_is_known(
                 listening(calls(answers)) as master_port,
                 bridge_to(master, master=f"http://127.0.0.1:{master_port}") as bridge,
             ):
-                message: Any = bridge.describe(output("/t"), timeout=patience()).message
+                message: Any = bridge.describe(output("/t")).message
                 assert message.schema["properties"]["data"]["x-native-type"] == "int32"
 
 
@@ -228,7 +228,7 @@ def test_a_node_that_offers_nonsense_is_refused(master: Master, protocol: Any) -
             bridge_to(master, master=f"http://127.0.0.1:{port}") as bridge,
             pytest.raises(BridgeError, match="offers no TCPROS"),
         ):
-            bridge.describe(output("/t", INT), timeout=patience())
+            bridge.describe(output("/t", INT))
 
 
 SERVERS: dict[str, tuple[bytes, str]] = {
@@ -263,7 +263,7 @@ def test_a_server_that_lies_is_an_error(master: Master, what: str) -> None:
             bridge_to(master, master=f"http://127.0.0.1:{master_port}") as bridge,
             pytest.raises(BridgeError, match=words),
         ):
-            bridge.call(service("/s", "std_srvs/Empty"), {}, timeout=patience())
+            bridge.call(service("/s", "std_srvs/Empty"), {})
 
 
 NOISE = [
@@ -285,7 +285,7 @@ NOISE = [
 def test_strangers_at_our_doors_disturb_no_channel(master: Master, lasting: Peer) -> None:
     lasting.do("subscribe", topic="/t", type=INT)
     with bridge_to(master) as bridge:
-        sink = bridge.open_sink(input_("/t", INT, wait=patience()), ANY, timeout=patience())
+        sink = bridge.open_sink(input_("/t", INT, wait=patience()), ANY)
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
         api = int(node.uri.rstrip("/").rpartition(":")[2])
         held = []
@@ -309,13 +309,13 @@ def test_strangers_who_hold_their_connections_keep_no_peer_out(
     with bridge_to(master) as bridge:
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
         collector = Collector()
-        bridge.open_source(output("/crowd/to"), ANY, collector.deliver, timeout=patience())
+        bridge.open_source(output("/crowd/to"), ANY, collector.deliver)
         api = int(node.uri.rstrip("/").rpartition(":")[2])
         held = [socket.create_connection((node._api.host, api)) for _ in range(300)]
         held += [socket.create_connection((node._api.host, node._api.port)) for _ in range(300)]
-        sink = bridge.open_sink(input_("/crowd", INT, peer="optional"), ANY, timeout=patience())
+        sink = bridge.open_sink(input_("/crowd", INT, peer="optional"), ANY)
         lasting.do("subscribe", topic="/crowd", type=INT)
-        wait(lambda: sink.facts()["subscribers"], "no subscriber is let in", patience())
+        wait(lambda: sink.facts()["subscribers"], "no subscriber is let in")
         sink.send({"data": 1})
         lasting.wait_for("count", lambda count: count == 1, topic="/crowd")
         held[0].settimeout(patience())
@@ -340,7 +340,7 @@ def test_calls_that_do_not_end_share_one_room(
                 for part in (head, *[bytes(1_000_000)] * 7):
                     connection.sendall(part)
         assert call_api(node.uri, "getPid", "/t", seconds=patience()) == os.getpid()
-        wait(lambda: sum(map(is_ended, held)) >= len(held) // 2, "none goes", patience())
+        wait(lambda: sum(map(is_ended, held)) >= len(held) // 2, "none goes")
         for connection in held:
             connection.close()
 
@@ -359,7 +359,7 @@ def test_calls_that_come_in_one_piece_are_answered_within_what_may_wait() -> Non
     call = b"POST / HTTP/1.1\r\nContent-Length: %d\r\n\r\n%b" % (len(body), body)
     with socket.create_connection(("127.0.0.1", server.api_port)) as connection:
         connection.sendall(call * 200)  # and no answer is read
-        wait(lambda: answered and not server._unidentified._held, "it is kept", patience())
+        wait(lambda: answered and not server._unidentified._held, "it is kept")
     loop.close()
     assert len(answered) < 100
 
@@ -394,7 +394,7 @@ def test_requests_that_do_not_end_share_one_room(
         for connection in held:
             with suppress(ConnectionError):
                 connection.sendall(struct.pack("<I", 900_000) + bytes(500_000))
-        wait(lambda: served.facts()["clients"] == 4, "all are kept", patience())
+        wait(lambda: served.facts()["clients"] == 4, "all are kept")
         for connection in held:
             connection.close()
 
@@ -433,7 +433,7 @@ def test_a_client_that_asks_nothing_is_let_go(
             connection.sendall(encode_header(header))
             while connection.recv(4096):
                 pass
-        wait(lambda: served.facts()["clients"] == 0, "it is kept", patience())
+        wait(lambda: served.facts()["clients"] == 0, "it is kept")
 
 
 def test_a_thousand_publishers_that_come_and_are_killed_leave_nothing_behind(
@@ -453,7 +453,7 @@ def test_a_thousand_publishers_that_come_and_are_killed_leave_nothing_behind(
         with listening(calls(api)) as api_port, bridge_to(master, rosout=False) as bridge:
             collector = Collector()
             at = output("/mortals", INT, peer="optional")
-            bridge.open_source(at, ANY, collector.deliver, timeout=patience())
+            bridge.open_source(at, ANY, collector.deliver)
             node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
 
             def come_and_go(number: int) -> None:
@@ -463,7 +463,7 @@ def test_a_thousand_publishers_that_come_and_are_killed_leave_nothing_behind(
                         node.uri, "publisherUpdate", "/m", "/mortals", named, seconds=patience()
                     )
                     if named:
-                        collector.wait(number + 1, patience())
+                        collector.wait(number + 1)
 
             come_and_go(0)
             snapshot = ResourceSnapshot()
@@ -476,7 +476,7 @@ def test_more_publishers_than_there_is_room_for_are_left_out(master: Master) -> 
     """A peer that calls `publisherUpdate` again and again has no thread made for each address."""
     with bridge_to(master) as bridge:
         at = output("/flooded", INT, peer="optional")
-        bridge.open_source(at, ANY, Collector().deliver, timeout=patience())
+        bridge.open_source(at, ANY, Collector().deliver)
         node: Node = bridge._node  # type: ignore[attr-defined]  # of this bridge
         before = threading.active_count()
         for turn in range(10):
@@ -491,7 +491,7 @@ def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path)
         collector = Collector()
         pair = ("/pair", INT)
         bridge.open_source(output(*pair, peer="optional"), ANY, collector.deliver)
-        sink = bridge.open_sink(input_(*pair, peer="optional"), ANY, timeout=patience())
+        sink = bridge.open_sink(input_(*pair, peer="optional"), ANY)
         bridge.serve(
             service("/served", "std_srvs/SetBool"), lambda _: {"success": True, "message": ""}
         )
@@ -499,7 +499,7 @@ def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path)
         world.kill()
         reports.wait(Health.DEGRADED, world.host)
         sink.send({"data": 1})  # what is connected needs no master
-        assert collector.wait(1, patience()) == [{"data": 1}]
+        assert collector.wait(1) == [{"data": 1}]
         world.start()
         reports.wait(Health.OK, "answers again")
         peer = world.peer("after")
@@ -510,7 +510,7 @@ def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path)
         sink.send({"data": 2})
         peer.wait_for("came", lambda came: {"data": 2} in came, topic="/pair")
         peer.do("publish", topic="/pair", type=INT, values={"data": 3})
-        assert {"data": 3} in collector.wait(3, patience())
+        assert {"data": 3} in collector.wait(3)
         called = peer.do("call", service="/served", type="std_srvs/SetBool", values={"data": True})
         assert called["success"]
 
@@ -518,7 +518,7 @@ def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path)
 def reports_ok(bridge: Bridge, reports: Reports) -> None:
     """The master has answered once, so that its death is one."""
     known: Any = bridge
-    wait(lambda: known._master_health.is_up, "the master was not asked", patience())
+    wait(lambda: known._master_health.is_up, "the master was not asked")
     assert not [event for event in reports.events if event.health is Health.LOST]
 
 
@@ -530,16 +530,16 @@ def test_a_master_that_stalls_holds_up_no_message_and_no_close(tmp_path: Path) -
             collector = Collector()
             at = ("/pair", INT)
             bridge.open_source(output(*at, peer="optional"), ANY, collector.deliver)
-            sink = bridge.open_sink(input_(*at, peer="optional"), ANY, timeout=patience())
+            sink = bridge.open_sink(input_(*at, peer="optional"), ANY)
             reports_ok(bridge, reports)
             world.send_signal(signal.SIGSTOP)
             reports.wait(Health.DEGRADED, "no answer in time")
             sink.send({"data": 1})
-            assert collector.wait(1, patience()) == [{"data": 1}]
+            assert collector.wait(1) == [{"data": 1}]
             world.send_signal(signal.SIGCONT)
             reports.wait(Health.OK, "answers again")
             world.send_signal(signal.SIGSTOP)
             with pytest.raises(BridgeError, match="no answer in time"):
-                bridge.describe(output("/t"), timeout=patience())
+                bridge.describe(output("/t"))
             bridge.close(timeout=10 * slowness())
         world.send_signal(signal.SIGCONT)

@@ -198,12 +198,10 @@ def test_a_bridge_turns_no_more_than_its_messages_need(master: Master, lasting: 
     lasting.do("advertise", topic=topic, type=INT)
     inbox = Collector()
     with bridge_to(master) as bridge:
-        channel = bridge.open_source(
-            output(topic, INT), MessageStructure(True), inbox.deliver, timeout=patience()
-        )
+        channel = bridge.open_source(output(topic, INT), MessageStructure(True), inbox.deliver)
         for number in range(50):
             lasting.publish(topic, type=INT, values={"data": number})
-            inbox.wait(number + 1, patience())
+            inbox.wait(number + 1)
         assert bridge.facts() == {"empty_turns": 0}
         channel.close()
     assert bridge.facts() == {"empty_turns": 0}

@@ -68,7 +68,7 @@ def test_a_camera_that_is_killed_is_replaced_and_returned_to(master: Master) -> 
                 peers[name].do("publish", topic=topic, type="std_msgs/Int32", values=values)
                 return values in came
 
-            wait(has_come, f"nothing of {name}: {came}", patience())
+            wait(has_come, f"nothing of {name}: {came}")
 
         comes_from("first", 1)
         peers["first"].kill()
@@ -115,9 +115,9 @@ offer:
             counter.emit({"data": 5})
             return bool(lasting.do("count", topic="/offered/count"))
 
-        wait(has_come, "nothing is published", patience())
+        wait(has_come, "nothing is published")
         lasting.publish("/offered/goal", type="std_msgs/Int32", values={"data": 9})
-        wait(lambda: {"data": 9} in arm.taken.messages, "nothing is taken", patience())
+        wait(lambda: {"data": 9} in arm.taken.messages, "nothing is taken")
         ask = {"service": "/offered/switch", "type": "std_srvs/SetBool"}
         assert lasting.do("call", **ask, values={"data": True})["message"] == "done"
         goal = {"action": "/offered/add", "type": "actionlib/TwoIntsAction"}

@@ -40,14 +40,14 @@ def test_relative_private_and_remapped_names_are_those_of_the_robot(
     with bridge_to(master, namespace="/lab", node="cart", remap=remap) as bridge:
         for address, value in (("numbers", 1), ("camera", 2), ("/other/place", 1)):
             collector = Collector()
-            bridge.open_source(output(address), ANY, collector.deliver, timeout=patience())
-            assert collector.wait(1, patience()) == [{"data": value}], address
-        reply = bridge.call(service("set"), {"data": True}, timeout=patience())
+            bridge.open_source(output(address), ANY, collector.deliver)
+            assert collector.wait(1) == [{"data": value}], address
+        reply = bridge.call(service("set"), {"data": True})
         assert reply["success"]
         parameter = Collector()
         bridge.open_source(output("~speed", "parameter"), ANY, parameter.deliver)
-        assert parameter.wait(1, patience()) == [3]
-        sink = bridge.open_sink(input_("~state", INT), ANY, timeout=patience())
+        assert parameter.wait(1) == [3]
+        sink = bridge.open_sink(input_("~state", INT), ANY)
         sink.send({"data": 4})
         lasting.wait_for("came", lambda came: {"data": 4} in came, topic="/lab/cart/state")
         bridge.serve(service("~lamp", SET), lambda ask: {"success": ask["data"], "message": "on"})
@@ -81,7 +81,7 @@ def test_tools_that_take_any_type_are_given_type_sum_and_definition(
             sink.send(message)
             return bool(lasting.do("count", topic="/any"))
 
-        wait(has_come, "nothing comes", patience())
+        wait(has_come, "nothing comes")
         kind, md5, value = lasting.do("came", topic="/any")[0]
         assert (kind, md5) == ("geometry_msgs/PointStamped", "c63aecb41bfdfd6b7e1fac37c7cbe7bf")
         assert value["point"] == message["point"]
@@ -95,7 +95,7 @@ def test_small_messages_are_sent_as_the_endpoint_asks(
     lasting.do("advertise", topic=topic, type=INT)
     with bridge_to(master) as bridge:
         at = output(topic, nodelay=nodelay)
-        bridge.open_source(at, ANY, Collector().deliver, timeout=patience())
+        bridge.open_source(at, ANY, Collector().deliver)
         lasting.wait_for("nodelays", lambda found: found == [nodelay], topic=topic)
 
 
@@ -108,7 +108,7 @@ def test_a_client_that_keeps_its_connection_calls_over_it(master: Master, lastin
         asked = [{"data": number % 2 == 0} for number in range(20)]
         replies = lasting.do("call_persistently", service="/kept", type=SET, requests=asked)
         assert [reply["success"] for reply in replies] == [ask["data"] for ask in asked]
-        wait(lambda: served.facts()["clients"] == 0, "a connection is left", patience())
+        wait(lambda: served.facts()["clients"] == 0, "a connection is left")
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_a_goal_that_is_refused_or_called_back_says_so(
 ) -> None:
     lasting.do("act_by_hand", action=f"/{how}", type=ADD, how=how)
     with bridge_to(master) as bridge, pytest.raises(BridgeError, match=f"the goal was {words}"):
-        bridge.call(service(f"/{how}", ADD), {"a": 1, "b": 2}, timeout=patience())
+        bridge.call(service(f"/{how}", ADD), {"a": 1, "b": 2})
 
 
 def test_a_server_that_cannot_be_resolved_or_reached_is_named_with_what_to_set(
@@ -134,7 +134,7 @@ def test_a_server_that_cannot_be_resolved_or_reached_is_named_with_what_to_set(
         ):
             node.master.service_address = lambda _, to=(host, port): to
             with pytest.raises(BridgeError) as caught:
-                bridge.describe(service("/far/set"), timeout=patience())
+                bridge.describe(service("/far/set"))
             assert words in str(caught.value)
             assert "ROS_HOSTNAME" in str(caught.value) or "ROS_IP" in str(caught.value)
 
@@ -146,15 +146,15 @@ def test_a_parameter_is_watched_over_the_death_of_its_master(tmp_path: Any) -> N
         with bridge_to(world) as bridge:
             reports, collector = Reports(bridge), Collector()
             bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
-            assert collector.wait(1, patience()) == [1]
+            assert collector.wait(1) == [1]
             known: Any = bridge
-            wait(lambda: known._master_health.is_up, "the master was not asked", patience())
+            wait(lambda: known._master_health.is_up, "the master was not asked")
             world.kill()
             reports.wait(Health.DEGRADED, world.host)
             world.start()
             reports.wait(Health.OK, "answers again")
             peer.do("set_param", name="/speed", value=2)
-            assert collector.wait(2, patience()) == [1, 2]
+            assert collector.wait(2) == [1, 2]
 
 
 def test_what_is_opened_before_the_look_at_a_new_master_hides_nothing_from_it(
@@ -163,7 +163,7 @@ def test_what_is_opened_before_the_look_at_a_new_master_hides_nothing_from_it(
     with running(tmp_path / "master") as world, bridge_to(world) as bridge:
         watching: Any = bridge
         bridge.open_source(output("/before", INT, peer="optional"), ANY, print)
-        wait(lambda: watching._master_health.is_up, "the master was not asked", patience())
+        wait(lambda: watching._master_health.is_up, "the master was not asked")
         is_between = threading.Event()
         monkeypatch.setattr(bridge, "_look_at_master", is_between.set)
         assert is_between.wait(patience())
@@ -172,7 +172,7 @@ def test_what_is_opened_before_the_look_at_a_new_master_hides_nothing_from_it(
         bridge.open_source(output("/since", INT, peer="optional"), ANY, print)
         assert watching._node.is_known()
         monkeypatch.undo()
-        wait(lambda: "/before" in registered(watching._node), "it is not known", patience())
+        wait(lambda: "/before" in registered(watching._node), "it is not known")
 
 
 def test_a_master_that_comes_back_with_its_process_is_another(
@@ -184,9 +184,9 @@ def test_a_master_that_comes_back_with_its_process_is_another(
         with bridge_to(world) as bridge:
             watching: Any = bridge
             bridge.open_source(output("/before", INT, peer="optional"), ANY, print)
-            wait(lambda: watching._master_health.is_up, "the master was not asked", patience())
+            wait(lambda: watching._master_health.is_up, "the master was not asked")
             world.kill()
-            wait(lambda: not watching._master_health.is_up, "it is not missed", patience())
+            wait(lambda: not watching._master_health.is_up, "it is not missed")
             is_between = threading.Event()
             monkeypatch.setattr(bridge, "_look_at_master", is_between.set)
             assert is_between.wait(patience())
@@ -194,7 +194,7 @@ def test_a_master_that_comes_back_with_its_process_is_another(
             bridge.open_source(output("/since", INT, peer="optional"), ANY, print)
             assert watching._node.is_known()
             monkeypatch.undo()
-            wait(lambda: "/before" in registered(watching._node), "it is not known", patience())
+            wait(lambda: "/before" in registered(watching._node), "it is not known")
     finally:
         world.end()
 
@@ -206,9 +206,9 @@ def test_a_parameter_that_is_not_set_any_more_is_degraded_until_it_is(tmp_path: 
         with bridge_to(world) as bridge:
             collector = Collector()
             bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
-            assert collector.wait(1, patience()) == [1]
+            assert collector.wait(1) == [1]
             known: Any = bridge
-            wait(lambda: known._master_health.is_up, "the master was not asked", patience())
+            wait(lambda: known._master_health.is_up, "the master was not asked")
 
             def start_again() -> None:
                 world.kill()
@@ -222,7 +222,7 @@ def test_a_parameter_that_is_not_set_any_more_is_degraded_until_it_is(tmp_path: 
                 reports.wait(Health.DEGRADED, "the parameter /speed is not set any more")
                 peer.do("set_param", name="/speed", value=1)
                 reports.wait(Health.OK, "the parameter /speed is set again")
-                assert collector.wait(number, patience()) == [1] * number
+                assert collector.wait(number) == [1] * number
 
 
 def test_a_change_of_a_parameter_that_is_more_than_a_call_may_hold_is_looked_at(
@@ -235,10 +235,10 @@ def test_a_change_of_a_parameter_that_is_more_than_a_call_may_hold_is_looked_at(
         collectors = {name: Collector() for name in ("/table", "/speed")}
         for name, collector in collectors.items():
             bridge.open_source(output(name, "parameter"), ANY, collector.deliver)
-            collector.wait(1, patience())
+            collector.wait(1)
         reports = Reports(bridge)
         lasting.do("set_param", name="/table", value=[0] * 50_000)
-        assert len(collectors["/table"].wait(2, patience())[1]) == 50_000
+        assert len(collectors["/table"].wait(2)[1]) == 50_000
         deep: list[object] = []
         for _ in range(100):
             deep = [deep]
@@ -246,7 +246,7 @@ def test_a_change_of_a_parameter_that_is_more_than_a_call_may_hold_is_looked_at(
         reports.wait(Health.DEGRADED, "the parameter /table cannot be read: getParam: ")
         lasting.do("set_param", name="/table", value=[2])
         reports.wait(Health.OK, "the parameter /table is set again")
-        assert len(collectors["/table"].wait(3, patience())[2]) == 1
+        assert len(collectors["/table"].wait(3)[2]) == 1
         assert len(collectors["/speed"].messages) == 1
 
 
@@ -259,10 +259,10 @@ def test_a_change_of_a_parameter_in_one_that_is_watched_too_comes_once(
         bridge.open_source(output("/cart", "parameter"), ANY, outer.deliver)
         bridge.open_source(output("/cart/speed", "parameter"), ANY, inner.deliver)
         for count, value in enumerate((1, 2, 2, 3), 1):
-            inner.wait(count, patience())
+            inner.wait(count)
             lasting.do("set_param", name="/cart/speed", value=value)
-        assert inner.wait(5, patience()) == [0, 1, 2, 2, 3]
-        wait(lambda: {"speed": 3} in outer.messages, "it has not come", patience())
+        assert inner.wait(5) == [0, 1, 2, 2, 3]
+        wait(lambda: {"speed": 3} in outer.messages, "it has not come")
 
 
 def test_a_look_that_fails_ends_no_other(master: Master, lasting: Peer) -> None:
@@ -282,7 +282,7 @@ def test_a_look_that_fails_ends_no_other(master: Master, lasting: Peer) -> None:
                 sources[1].tick = fail
         assert failed.wait(patience())
         for source in (sources[0], sources[2]):
-            wait(partial(is_lost, reports, source), "its silence is not seen", patience())
+            wait(partial(is_lost, reports, source), "its silence is not seen")
 
 
 def is_lost(reports: Reports, channel: Channel) -> bool:
@@ -302,11 +302,7 @@ def test_a_master_whose_process_has_the_number_of_the_one_before_is_known_by_its
         with bridge_to(world) as bridge:
             watching: Any = bridge
             bridge.open_source(output("/before", INT, peer="optional"), ANY, print)
-            wait(
-                lambda: "first" in (watching._master_identity or ()),
-                "the master was not asked",
-                patience(),
-            )
+            wait(lambda: "first" in (watching._master_identity or ()), "the master was not asked")
             is_between = threading.Event()
             monkeypatch.setattr(bridge, "_look_at_master", is_between.set)
             assert is_between.wait(patience())
@@ -316,7 +312,7 @@ def test_a_master_whose_process_has_the_number_of_the_one_before_is_known_by_its
             bridge.open_source(output("/since", INT, peer="optional"), ANY, print)
             assert "/before" not in registered(watching._node)
             monkeypatch.undo()
-            wait(lambda: "/before" in registered(watching._node), "it is not known", patience())
+            wait(lambda: "/before" in registered(watching._node), "it is not known")
     finally:
         world.end()
 
@@ -329,11 +325,11 @@ def test_a_parameter_that_is_found_twice_was_set_once(tmp_path: Any) -> None:
         with bridge_to(world) as bridge:
             collector = Collector()
             bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
-            assert collector.wait(1, patience()) == [1]
+            assert collector.wait(1) == [1]
             known: Any = bridge
             known._node.register_again()
             peer.do("set_param", name="/speed", value=2)
-            assert collector.wait(2, patience()) == [1, 2]
+            assert collector.wait(2) == [1, 2]
 
 
 def test_a_parameter_that_is_set_as_a_new_master_is_found_without_it_was_set_once(
@@ -346,7 +342,7 @@ def test_a_parameter_that_is_set_as_a_new_master_is_found_without_it_was_set_onc
         with bridge_to(world) as bridge:
             collector = Collector()
             bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
-            assert collector.wait(1, patience()) == [1]
+            assert collector.wait(1) == [1]
             node: Any = cast("Any", bridge)._node
             watch = node.master.watch_parameter
 
@@ -354,15 +350,15 @@ def test_a_parameter_that_is_set_as_a_new_master_is_found_without_it_was_set_onc
                 found = watch(key)
                 if found == {}:
                     peer.do("set_param", name=key, value=2)
-                    collector.wait(2, patience())
+                    collector.wait(2)
                 return found
 
             monkeypatch.setattr(node.master, "watch_parameter", set_meanwhile)
             world.kill()
             world.start()
-            assert collector.wait(2, patience()) == [1, 2]
+            assert collector.wait(2) == [1, 2]
             peer.do("set_param", name="/speed", value=3)
-            assert collector.wait(3, patience()) == [1, 2, 3]
+            assert collector.wait(3) == [1, 2, 3]
 
 
 def test_what_is_taken_back_while_it_is_registered_does_not_stay(
@@ -429,7 +425,7 @@ def test_a_parameter_that_is_closed_while_it_is_watched_again_is_watched_no_more
         # The master reports to a node in order: the second comes after what the first would have.
         for name in ("/speed", "/fence"):
             peer.do("set_param", name=name, value=2)
-        assert collector.wait(2, patience()) == [1, 2]
+        assert collector.wait(2) == [1, 2]
         assert keys == ["/fence"]
 
 

@@ -18,7 +18,7 @@ from uoarm_ros1._types import TypeStore
 from uoarm._adapt import check_edge
 from uoarm.bridge import options_table
 from uoarm.model import MessageStructure
-from uoarm.testing import patience, wait
+from uoarm.testing import wait
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "ros1.md"
@@ -43,7 +43,7 @@ def test_the_example_runs_as_printed(master: Master, tmp_path: Path) -> None:
             said[:] = [run.stdout + run.stderr for run in done]
             return not any(run.returncode for run in done)
 
-        wait(answered, "the node of the example did not come up", patience())
+        wait(answered, "the node of the example did not come up")
         assert "".join(said) == printed
         (tmp_path / "application.py").write_text(application)
         done = _run("application", tmp_path)

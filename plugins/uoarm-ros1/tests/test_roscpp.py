@@ -43,8 +43,8 @@ def test_a_latched_message_of_roscpp_comes_first(master: Master, cpp: Peer) -> N
         at, collector = output("/cpp/latched", wait=patience()), Collector()
         message: Any = bridge.describe(at).message
         assert message.native_type == "std_msgs/String"
-        source = bridge.open_source(at, message, collector.deliver, timeout=patience())
-        assert collector.wait(1, patience()) == [{"data": "of roscpp"}]
+        source = bridge.open_source(at, message, collector.deliver)
+        assert collector.wait(1) == [{"data": "of roscpp"}]
         assert source.latched
 
 
@@ -53,18 +53,18 @@ def test_arrays_pass_there_and_back_in_order(master: Master, cpp: Peer) -> None:
         collector = Collector()
         # A subscriber of roscpp sends no definition: the type is known of Noetic's own packages.
         assert bridge.describe(input_("/cpp/in")).message is not None
-        bridge.open_source(output("/cpp/out"), ANY, collector.deliver, timeout=patience())
-        sink = bridge.open_sink(input_("/cpp/in", wait=patience()), ANY, timeout=patience())
+        bridge.open_source(output("/cpp/out"), ANY, collector.deliver)
+        sink = bridge.open_sink(input_("/cpp/in", wait=patience()), ANY)
         layout = {"dim": [{"label": "x", "size": 3, "stride": 3}], "data_offset": 0}
         sent = [{"layout": layout, "data": [0.5 * number, -1.0, 1e300]} for number in range(200)]
         for message in sent:
             sink.send(message)
-        assert same(collector.wait(200, patience()), sent)
+        assert same(collector.wait(200), sent)
 
 
 def test_services_pass_both_ways(master: Master, cpp: Peer) -> None:
     with bridge_to(master) as bridge:
-        reply = bridge.call(service("/cpp/loggers"), {}, timeout=patience())
+        reply = bridge.call(service("/cpp/loggers"), {})
         assert reply["loggers"][1] == {"name": "second", "level": "of roscpp"}
         bridge.serve(
             service("/ours/loggers", "roscpp/GetLoggers"),
@@ -76,7 +76,7 @@ def test_services_pass_both_ways(master: Master, cpp: Peer) -> None:
 def test_actions_pass_both_ways(master: Master, cpp: Peer) -> None:
     with bridge_to(master) as bridge:
         at = service("/cpp/add")
-        assert bridge.call(at, {"a": 40, "b": 2}, timeout=patience()) == {"sum": 42}
+        assert bridge.call(at, {"a": 40, "b": 2}) == {"sum": 42}
         bridge.serve(
             service("/ours/add", "actionlib/TwoIntsAction"),
             lambda goal: {"sum": goal["a"] + goal["b"]},
@@ -89,7 +89,7 @@ def test_the_death_of_a_node_of_roscpp_is_noticed(master: Master, program: Path)
     with bridge_to(master) as bridge:
         reports = Reports(bridge)
         at = output("/cpp/latched", node="/mortal_cpp", wait=patience())
-        bridge.open_source(at, ANY, Collector().deliver, timeout=patience())
+        bridge.open_source(at, ANY, Collector().deliver)
         peer.kill()
         assert "/mortal_cpp" in reports.wait(Health.LOST).cause
         with pytest.raises(BridgeError, match="/mortal_cpp"):

@@ -26,10 +26,10 @@ def test_a_service_is_described_by_what_its_server_says(master: Master, lasting:
     with bridge_to(master) as bridge:
         described: Any = bridge.describe(service("/set"))
         assert described.request.native_type == "std_srvs/SetBoolRequest"
-        reply = bridge.call(service("/set"), {"data": True}, timeout=patience())
+        reply = bridge.call(service("/set"), {"data": True})
         assert reply == {"success": True, "message": "data is True"}
         with pytest.raises(MessageError, match=r"\$\.data: expected true or false"):
-            bridge.call(service("/set"), {"data": 1}, timeout=patience())
+            bridge.call(service("/set"), {"data": 1})
         with pytest.raises(BridgeError, match="is served as std_srvs/SetBool"):
             bridge.describe(service("/set", "std_srvs/Trigger"))
 
@@ -51,13 +51,12 @@ def test_a_service_without_a_server_is_named_and_its_coming_is_said(master: Mast
             bridge.describe(service("/nowhere"))
         assert caught.value.reason is FailureReason.NOT_FOUND
         peer = master.peer("coming")
-        wait(lambda: bridge._lost._seen, "it is not looked for", patience())  # type: ignore[attr-defined]
+        wait(lambda: bridge._lost._seen, "it is not looked for")  # type: ignore[attr-defined]
         # A look that finds no node comes first: what was there before is no return.
         lost: Any = bridge
         wait(
             lambda: lost._lost._seen[("nowhere", "services", "/nowhere")] is not None,
             "it was not looked for",
-            patience(),
         )
         peer.do("serve", service="/nowhere", type=SET)
         assert reports.wait(Health.OK, "/nowhere").component == "nowhere"
@@ -70,14 +69,14 @@ def test_a_server_that_was_started_again_is_called_again(master: Master) -> None
     first.do("serve", service="/again", type=SET)
     with bridge_to(master) as bridge:
         at = service("/again")
-        assert bridge.call(at, {"data": True}, timeout=patience())["success"]
+        assert bridge.call(at, {"data": True})["success"]
         first.kill()
         with pytest.raises(BridgeError) as caught:
-            bridge.call(at, {"data": True}, timeout=patience())
+            bridge.call(at, {"data": True})
         assert caught.value.reason is FailureReason.UNAVAILABLE
         second = master.peer("serving")
         second.do("serve", service="/again", type=SET)
-        assert bridge.call(at, {"data": False}, timeout=patience())["message"] == "data is False"
+        assert bridge.call(at, {"data": False})["message"] == "data is False"
         second.kill()
 
 
@@ -138,7 +137,7 @@ def test_an_action_is_a_call(master: Master, lasting: Peer) -> None:
         assert described.request.schema["required"] == ["a", "b"]
         assert described.reply.schema["required"] == ["sum"]
         at = service("/add", ADD)
-        assert bridge.call(at, {"a": 2, "b": 40}, timeout=patience()) == {"sum": 42}
+        assert bridge.call(at, {"a": 2, "b": 40}) == {"sum": 42}
         feedback: Any = bridge.describe(output("/add/feedback")).message
         assert "feedback" in feedback.schema["properties"]
 
@@ -150,28 +149,26 @@ def test_an_action_that_fails_says_how(master: Master) -> None:
     with bridge_to(master) as bridge:
         goal = {"a": 1, "b": 2}
         with pytest.raises(BridgeError, match="the goal was aborted: it cannot"):
-            bridge.call(service("/abort", ADD), goal, timeout=patience())
+            bridge.call(service("/abort", ADD), goal)
         with pytest.raises(BridgeError, match="there is no server of action /none"):
             bridge.describe(service("/none", ADD))
         with pytest.raises(BridgeTimeoutError):
             bridge.call(service("/waiting", ADD), goal, timeout=slowness())
         caller: Any = bridge
         goals = caller._callers[("/waiting", ADD)]._goals
-        wait(lambda: not goals, "the goal that was given up is waited for", patience())
-        cancelled = Background(
-            lambda: bridge.call(service("/waiting", ADD), goal, timeout=patience(), number=5)
-        )
-        wait(lambda: goals, "the goal was not sent", patience())
-        wait(lambda: bridge.cancel_call(5), "it cannot be cancelled", patience())
+        wait(lambda: not goals, "the goal that was given up is waited for")
+        cancelled = Background(lambda: bridge.call(service("/waiting", ADD), goal, number=5))
+        wait(lambda: goals, "the goal was not sent")
+        wait(lambda: bridge.cancel_call(5), "it cannot be cancelled")
         with pytest.raises(
             BridgeError, match=r"the goal was (preempted: it was asked to stop|recalled)"
         ):
-            cancelled.result(patience())
-        lost = Background(lambda: bridge.call(service("/waiting", ADD), goal, timeout=patience()))
-        wait(lambda: goals, "the goal was not sent", patience())
+            cancelled.result()
+        lost = Background(lambda: bridge.call(service("/waiting", ADD), goal))
+        wait(lambda: goals, "the goal was not sent")
         peer.kill()
         with pytest.raises(BridgeError, match="the goal was lost"):
-            lost.result(patience())
+            lost.result()
 
 
 def test_goals_have_the_time_of_a_simulation(master: Master, lasting: Peer) -> None:
@@ -184,9 +181,9 @@ def test_goals_have_the_time_of_a_simulation(master: Master, lasting: Peer) -> N
     lasting.do("subscribe", topic="/simulated/add/goal", type="actionlib/TwoIntsActionGoal")
     with bridge_to(master, use_sim_time=True) as bridge:
         node: Any = bridge
-        wait(lambda: node._clock.stamp()["secs"], "the clock is not taken", patience())
+        wait(lambda: node._clock.stamp()["secs"], "the clock is not taken")
         at = service("/simulated/add", ADD)
-        assert bridge.call(at, {"a": 1, "b": 2}, timeout=patience()) == {"sum": 3}
+        assert bridge.call(at, {"a": 1, "b": 2}) == {"sum": 3}
         (goal,) = lasting.wait_for("came", bool, topic="/simulated/add/goal")
         assert goal["goal_id"]["stamp"] == goal["header"]["stamp"] == values["clock"]
     peer.kill()
@@ -261,20 +258,20 @@ def test_parameters_are_read_watched_and_set(master: Master, lasting: Peer) -> N
         collector = Collector()
         source = bridge.open_source(at, message, collector.deliver)
         assert source.latched
-        assert collector.wait(1, patience()) == [1.5]
+        assert collector.wait(1) == [1.5]
         lasting.do("set_param", name="/robot/speed", value=2.5)
-        assert collector.wait(2, patience()) == [1.5, 2.5]
+        assert collector.wait(2) == [1.5, 2.5]
         sink = bridge.open_sink(input_("/robot/speed", "parameter"), ANY)
         sink.send(3.5)
         assert lasting.do("get_param", name="/robot/speed") == 3.5
-        assert collector.wait(3, patience())[-1] == 3.5
+        assert collector.wait(3)[-1] == 3.5
         with pytest.raises(MessageError, match="32 bits"):
             sink.send(2**40)
         whole = Collector()
         bridge.open_source(output("/robot", "parameter"), ANY, whole.deliver)
-        assert whole.wait(1, patience()) == [{"speed": 3.5}]
+        assert whole.wait(1) == [{"speed": 3.5}]
         lasting.do("set_param", name="/robot/speed", value=4.5)
-        assert whole.wait(2, patience())[-1] == {"speed": 4.5}
+        assert whole.wait(2)[-1] == {"speed": 4.5}
         with pytest.raises(BridgeError, match="the parameter /robot/none is not set"):
             bridge.describe(output("/robot/none", "parameter"))
 
@@ -297,7 +294,7 @@ def test_a_large_graph_is_discovered_by_asking_each_thing_once(
     with bridge_to(master, rosout=False, check=60) as bridge:
         for module in (_master, _node, _subscription):
             monkeypatch.setattr(module, "call_api", call)
-        found = {component.name for component in bridge.discover(timeout=patience())}
+        found = {component.name for component in bridge.discover()}
         assert {"/large", "/lasting"} <= found
     assert asked.count("getSystemState") == asked.count("getTopicTypes") == 1
     assert asked.count("requestTopic") < 3 * 20
@@ -322,15 +319,15 @@ def test_many_that_open_ask_for_the_graph_once_a_second_and_what_came_since_is_f
         monkeypatch.setattr(_bridge, "_LATELY_SECONDS", 1000.0)
         for number in range(20):
             at = output(f"/many/{number}")
-            assert bridge.describe(at, timeout=patience()).message is not None
-            bridge.open_source(at, ANY, Collector().deliver, timeout=patience())
+            assert bridge.describe(at).message is not None
+            bridge.open_source(at, ANY, Collector().deliver)
         assert asked.count("getSystemState") == 1
         peer.do("advertise", topic="/many/later", type="std_msgs/Int32")
-        assert bridge.describe(output("/many/later"), timeout=patience()).message is not None
+        assert bridge.describe(output("/many/later")).message is not None
         peer.kill()
         for _ in range(2):
             with pytest.raises(BridgeError, match="no publisher of /many/later answers"):
-                bridge.describe(output("/many/later"), timeout=patience())
+                bridge.describe(output("/many/later"))
     assert asked.count("getSystemState") == 4
 
 
@@ -344,7 +341,7 @@ def test_every_node_is_discovered_with_structures(master: Master) -> None:
     dead.do("advertise", topic="/dead", type="std_msgs/Int32")
     dead.kill()
     with bridge_to(master) as bridge:
-        found = {component.name: component for component in bridge.discover(timeout=patience())}
+        found = {component.name: component for component in bridge.discover()}
         assert "/dead" not in found  # though it is registered still
         ports = {at.address: (at.role, known) for at, known in found["/discovered"].endpoints}
         role, image = ports["/found/out", "sensor_msgs/Image"]
@@ -374,7 +371,7 @@ def test_a_service_that_another_node_registers_later_is_degraded_until_that_ends
         assert event.channel is not None
         peer.do("serve_no_more", service="/both")
         reports.wait(Health.OK, "clients of /both are sent here again")
-        assert bridge.call(service("/both"), {"data": True}, timeout=patience()) == OURS
+        assert bridge.call(service("/both"), {"data": True}) == OURS
     peer.kill()
 
 
@@ -387,4 +384,4 @@ def test_a_service_is_taken_back_from_a_node_that_was_killed(master: Master) -> 
         reports.wait(Health.DEGRADED, "are sent to node /brief")
         peer.kill()
         reports.wait(Health.OK, "clients of /kept are sent here again")
-        assert bridge.call(service("/kept"), {"data": True}, timeout=patience()) == OURS
+        assert bridge.call(service("/kept"), {"data": True}) == OURS

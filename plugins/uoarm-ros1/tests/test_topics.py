@@ -33,9 +33,9 @@ ANY = MessageStructure(True)
 
 def opened(bridge: Bridge, at: Endpoint) -> tuple[Source, Collector]:
     collector = Collector()
-    structure = bridge.describe(at, timeout=patience()).message
+    structure = bridge.describe(at).message
     assert structure is not None
-    return bridge.open_source(at, structure, collector.deliver, timeout=patience()), collector
+    return bridge.open_source(at, structure, collector.deliver), collector
 
 
 def test_the_type_and_its_structure_come_from_the_publisher(master: Master, lasting: Peer) -> None:
@@ -67,16 +67,16 @@ def test_every_primitive_and_every_array_of_them_pass_there_and_back(
     lasting.do("subscribe", topic="/every/out", type=native)
     with bridge_to(master) as bridge:
         back = input_("/every/out", native, definition=EVERYTHING, wait=patience(), queue=1000)
-        sink = bridge.open_sink(back, ANY, timeout=patience())
+        sink = bridge.open_sink(back, ANY)
         at = output("/every/in", wait=patience())
-        structure = bridge.describe(at, timeout=patience()).message
+        structure = bridge.describe(at).message
         assert structure is not None
 
         def pass_on(message: Any) -> None:
             messages.append(message)
             sink.send(message)
 
-        bridge.open_source(at, structure, pass_on, timeout=patience())
+        bridge.open_source(at, structure, pass_on)
         lasting.wait_for("connections", bool, topic="/every/in")
         sent = lasting.do("publish_random", topic="/every/in", type=native, count=200)
         lasting.wait_for("count", lambda count: count == 200, topic="/every/out")
@@ -88,10 +88,10 @@ def test_two_megabytes_pass_both_ways(master: Master, lasting: Peer) -> None:
     lasting.do("echo", topic="/large/in", to="/large/out", type="sensor_msgs/Image")
     with bridge_to(master, max_octets=4 << 20) as bridge:
         _, collector = opened(bridge, output("/large/out", wait=patience()))
-        sink = bridge.open_sink(input_("/large/in", wait=patience()), ANY, timeout=patience())
+        sink = bridge.open_sink(input_("/large/in", wait=patience()), ANY)
         image = large_image()
         sink.send(image)
-        (came,) = collector.wait(1, patience())
+        (came,) = collector.wait(1)
         came["header"]["seq"] = 0  # which rospy counts itself
         assert same(came, image)
 
@@ -114,7 +114,7 @@ def test_a_latched_message_comes_first_from_every_publisher(master: Master) -> N
         peer.do("publish", topic="/latched", type=INT, values={"data": number})
     with bridge_to(master) as bridge:
         source, collector = opened(bridge, output("/latched"))
-        came = collector.wait(2, patience())
+        came = collector.wait(2)
         assert sorted(message["data"] for message in came) == [0, 1]
         assert source.latched
     for peer in peers:
@@ -155,7 +155,7 @@ functions:
                     return frames(came) == both[1:]
                 return False
 
-        wait(stands, "what a node latched stands though it is gone", patience())
+        wait(stands, "what a node latched stands though it is gone")
     for peer in peers:
         peer.kill()
 
@@ -175,7 +175,7 @@ def test_several_sources_of_one_topic_each_get_all(master: Master, lasting: Peer
         bridge.describe(output("/shared"))  # asks as one more subscriber, and takes none away
         lasting.publish("/shared", type=INT, values={"data": 1}, count=5)
         for collector in collectors:
-            assert len(collector.wait(5, patience())) == 5
+            assert len(collector.wait(5)) == 5
 
 
 def test_one_node_of_several_can_be_meant(master: Master) -> None:
@@ -187,10 +187,10 @@ def test_one_node_of_several_can_be_meant(master: Master) -> None:
         _, collector = opened(bridge, output("/cameras", node="/camera1"))
         peers[0].do("publish", topic="/cameras", type=INT, values={"data": 0})
         peers[1].publish("/cameras", type=INT, values={"data": 1})
-        assert collector.wait(1, patience()) == [{"data": 1}]
+        assert collector.wait(1) == [{"data": 1}]
         peers[0].kill()
         peers[1].do("publish", topic="/cameras", type=INT, values={"data": 2})
-        assert collector.wait(2, patience()) == [{"data": 1}, {"data": 2}]
+        assert collector.wait(2) == [{"data": 1}, {"data": 2}]
         assert not [event for event in reports.events if event.health is Health.LOST]
         peers[1].kill()
         assert "/camera1" in reports.wait(Health.LOST).cause
@@ -218,7 +218,7 @@ def test_a_node_that_is_killed_is_lost_at_once_and_found_on_another_port(master:
         assert reports.wait(Health.OK, "/mortal").component == "mortal component"
         _, collector = opened(bridge, at)
         second.publish("/mortal", type=INT, values={"data": 3})
-        assert collector.wait(1, patience()) == [{"data": 3}]
+        assert collector.wait(1) == [{"data": 3}]
         second.kill()
 
 
@@ -230,7 +230,7 @@ def test_a_publisher_that_comes_later_is_connected(master: Master) -> None:
         peer = master.peer("late")
         peer.do("advertise", topic="/later", type=INT)
         peer.publish("/later", type=INT, values={"data": 4})
-        assert collector.wait(1, patience()) == [{"data": 4}]
+        assert collector.wait(1) == [{"data": 4}]
         peer.kill()
 
 
@@ -249,9 +249,9 @@ def test_a_killed_node_beside_one_that_lives_is_said_once(
         tries = Counted(_subscription._subscribe)
         monkeypatch.setattr(_subscription, "_subscribe", tries)
         for number in range(3):
-            wait(partial(tries.is_beyond, number), "it is not tried again", patience())
+            wait(partial(tries.is_beyond, number), "it is not tried again")
             lasting.publish("/half", type=INT, values={"data": number})
-            collector.wait(number + 1, patience())
+            collector.wait(number + 1)
         assert [event.health for event in reports.events] == [Health.DEGRADED, Health.OK]
 
 
@@ -291,7 +291,7 @@ def test_a_silent_publisher_that_answers_is_well(master: Master, lasting: Peer) 
         asked = threading.Event()
         asked.wait(0.5)  # several times as long as until it is asked
         lasting.publish("/quiet", type=INT, values={"data": 1})
-        collector.wait(1, patience())
+        collector.wait(1)
         assert source.facts()["interruptions"] == 0
         assert not reports.events
 
@@ -322,7 +322,7 @@ def test_simulated_time_stands_still_until_it_is_said(master: Master) -> None:
         source: Any = opened(bridge, output("/simulated", stale_after=10))[0]
         for seconds, counted in ((1_000, 0), (1_009, 9), (5, 9)):  # at last another run
             say(seconds)
-            wait(partial(has_said, seconds), "the clock is not taken", patience())
+            wait(partial(has_said, seconds), "the clock is not taken")
             assert clock._clock.now() == counted
             source.tick(None)
             assert not reports.events
@@ -403,7 +403,7 @@ def test_a_host_that_cannot_be_resolved_or_reached_is_named_with_what_to_set(
         ):
             node.master.node_uri = lambda name, uri=uri: uri  # type: ignore[method-assign, misc]
             with pytest.raises(BridgeError) as caught:
-                bridge.describe(output("/elsewhere"), timeout=patience())
+                bridge.describe(output("/elsewhere"))
             assert all(word in str(caught.value) for word in words), str(caught.value)
         node.master.node_uri = real  # type: ignore[method-assign]
 
@@ -429,7 +429,6 @@ def test_what_is_wrong_is_said_on_rosout(master: Master, lasting: Peer) -> None:
         wait(
             lambda: rosout._publication is not None and "/lasting" in rosout._publication.callers,
             "/rosout is not subscribed to",
-            patience(),
         )
         peer.kill()
         lasting.wait_for(
@@ -469,10 +468,10 @@ def test_a_subscription_of_our_own_is_waited_for_until_it_takes_messages(
         collector = Collector()
         at = ("/given_up", INT)
         bridge.open_source(output(*at, peer="optional"), ANY, collector.deliver)
-        sink = bridge.open_sink(input_(*at, peer="optional"), ANY, timeout=patience())
+        sink = bridge.open_sink(input_(*at, peer="optional"), ANY)
         is_open.set()
         sink.send({"data": 1})
-        assert collector.wait(1, patience()) == [{"data": 1}]
+        assert collector.wait(1) == [{"data": 1}]
 
 
 def test_a_subscriber_that_reads_nothing_holds_up_no_other(master: Master, lasting: Peer) -> None:
@@ -480,7 +479,7 @@ def test_a_subscriber_that_reads_nothing_holds_up_no_other(master: Master, lasti
     for peer in (stuck, lasting):
         peer.do("subscribe", topic="/much", type="std_msgs/String")
     with bridge_to(master, max_octets=1 << 18) as bridge:
-        sink = bridge.open_sink(input_("/much", queue=10, wait=patience()), ANY, timeout=patience())
+        sink = bridge.open_sink(input_("/much", queue=10, wait=patience()), ANY)
         wait(lambda: len(sink.facts()["subscribers"]) == 2)  # type: ignore[arg-type]  # a list
         stuck.send_signal(signal.SIGSTOP)
         for number in range(200):
@@ -528,7 +527,7 @@ def test_a_thousand_connections_and_kills_leave_nothing_behind(master: Master) -
                     connection.recv(10)
                 # Ended by a reset, as by a process that is killed with octets unread.
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-        wait(lambda: not sink.facts()["subscribers"], "connections are left", patience())
+        wait(lambda: not sink.facts()["subscribers"], "connections are left")
         snapshot.check(patience())
 
 
@@ -538,9 +537,7 @@ def test_a_link_moves_octets_without_reading_them(master: Master, lasting: Peer)
     lasting.do("subscribe", topic="/link/to", type="std_msgs/String")
     with bridge_to(master) as bridge:
         link = bridge.link(
-            output("/link/from", wait=patience()),
-            input_("/link/to", wait=patience()),
-            timeout=patience(),
+            output("/link/from", wait=patience()), input_("/link/to", wait=patience())
         )
         assert link is not None
         values = {"data": "Kia ora"}
@@ -565,7 +562,6 @@ def test_a_link_is_lost_by_its_rate_and_not_while_messages_come(
         link = bridge.link(
             output("/rate/from", wait=patience(), stale_after=stale_after),
             input_("/rate/to", wait=patience()),
-            timeout=patience(),
         )
         assert link is not None
         for count in range(30):

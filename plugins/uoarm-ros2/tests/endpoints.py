@@ -11,7 +11,7 @@ from peers import Peer
 from uoarm import Connection
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.model import Endpoint, Role
-from uoarm.testing import patience, wait
+from uoarm.testing import wait
 
 INT64 = "std_msgs/msg/Int64"
 
@@ -21,15 +21,15 @@ def endpoint(role: Role, *address: str, port: str = "default", **options: Any) -
 
 
 def source(bridge: Bridge, at: Endpoint, take: Any) -> Source:
-    structure = bridge.describe(at, timeout=patience()).message
+    structure = bridge.describe(at).message
     assert structure is not None
-    return bridge.open_source(at, structure, take, timeout=patience())
+    return bridge.open_source(at, structure, take)
 
 
 def sink(bridge: Bridge, at: Endpoint) -> Any:
-    structure = bridge.describe(at, timeout=patience()).message
+    structure = bridge.describe(at).message
     assert structure is not None
-    return bridge.open_sink(at, structure, timeout=patience())
+    return bridge.open_sink(at, structure)
 
 
 def known(bridge: Bridge, *nodes: str, bare: bool = False) -> None:

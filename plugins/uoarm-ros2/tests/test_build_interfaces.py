@@ -200,4 +200,4 @@ def test_a_node_talks_what_was_built(
 
 def call(bridge: Bridge, name: str, type_name: str, request: dict[str, object]) -> object:
     at = endpoint(Role.SERVICE, name, type_name)
-    return bridge.call(at, request, timeout=patience())
+    return bridge.call(at, request)

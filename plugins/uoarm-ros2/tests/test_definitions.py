@@ -15,7 +15,7 @@ from uoarm_ros2._types import import_type
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
-from uoarm.testing import patience, wait
+from uoarm.testing import wait
 
 Start = Callable[..., Peer]
 OTHER = "RIHS01_000102030405"
@@ -78,7 +78,7 @@ def test_a_channel_left_with_strangers_alone_is_lost(bridge: Bridge, peer: Start
 def call(bridge: Bridge, name: str) -> object:
     native: Any = import_type(BASIC)
     at = endpoint(Role.SERVICE, name, BASIC)
-    return bridge.call(at, default_of(native.Request), timeout=patience())
+    return bridge.call(at, default_of(native.Request))
 
 
 def test_a_server_with_another_definition_is_not_called(bridge: Bridge, peer: Start) -> None:

@@ -44,7 +44,7 @@ def transforms(*edges: tuple[str, str, int, float]) -> dict[str, Any]:
 
 def look_up(bridge: Bridge, target: str, source: str, **more: Any) -> Any:
     asked = {"target_frame": target, "source_frame": source, **more}
-    return bridge.call(FRAMES, asked, timeout=patience())
+    return bridge.call(FRAMES, asked)
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def test_a_frame_is_looked_up_in_another(world: tuple[Bridge, Any, Any]) -> None
         look_up(bridge, "map", "camera", time={"sec": 13, "nanosec": 0}, timeout=0)
     with pytest.raises(BridgeError, match="frame 'nose' is not known; known are base, camera, map"):
         look_up(bridge, "map", "nose", timeout=0)
-    report = bridge.describe(FRAMES, timeout=patience())
+    report = bridge.describe(FRAMES)
     assert report.request is not None
     assert report.reply is not None
     assert report.reply.native_type == "geometry_msgs/msg/TransformStamped"
@@ -187,7 +187,7 @@ def test_a_topic_without_look_ups_is_unsubscribed(
 def test_without_a_publisher_there_are_no_look_ups(bridge: Bridge) -> None:
     needed = endpoint(Role.SERVICE, "/tf", TF_MESSAGE, "lookup", wait=0)
     with pytest.raises(BridgeError, match="no publisher of /tf or /tf_static on the graph"):
-        bridge.describe(needed, timeout=patience())
+        bridge.describe(needed)
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_without_a_publisher_there_are_no_look_ups(bridge: Bridge) -> None:
 )
 def test_what_is_no_look_up_is_refused(bridge: Bridge, request_: Any, text: str) -> None:
     with pytest.raises((MessageError, BridgeError), match=text):
-        bridge.call(FRAMES, request_, timeout=patience())
+        bridge.call(FRAMES, request_)
 
 
 @pytest.mark.parametrize(
@@ -213,4 +213,4 @@ def test_what_is_no_look_up_is_refused(bridge: Bridge, request_: Any, text: str)
 )
 def test_looking_up_is_a_service_only(bridge: Bridge, at: Any) -> None:
     with pytest.raises(BridgeError, match="is a service that is called, and nothing else"):
-        bridge.describe(at, timeout=patience())
+        bridge.describe(at)

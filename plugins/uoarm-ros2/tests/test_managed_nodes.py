@@ -36,9 +36,9 @@ def numbers(*more: str, parameters: Any = None, **options: Any) -> Endpoint:
 
 
 def opened(bridge: Bridge, at: Endpoint, inbox: Any) -> Any:
-    structure = bridge.describe(at, timeout=patience()).message
+    structure = bridge.describe(at).message
     assert structure is not None
-    return bridge.open_source(at, structure, inbox, timeout=patience())
+    return bridge.open_source(at, structure, inbox)
 
 
 @pytest.fixture
@@ -85,9 +85,9 @@ functions:
     value = {**default_of(import_type("rcl_interfaces/msg/ParameterValue")), "type": 3}
     with RobotManager(loads(text)) as robot:
         asked = {"parameters": [{"name": "gain", "value": {**value, "double_value": 4.5}}]}
-        reply = robot.call("set", asked, timeout=patience())
+        reply = robot.call("set", asked)
         assert reply == {"results": [{"successful": True, "reason": ""}]}
-        read = robot.call("get", {"names": ["gain"]}, timeout=patience())
+        read = robot.call("get", {"names": ["gain"]})
         assert read["values"][0]["double_value"] == 4.5
         reason = Supervision(lambda: robot.config).reason
         assert "a call of it has a lifetime" in reason(Operation.CALL, "set")
@@ -107,7 +107,7 @@ def test_the_states_of_a_node_are_the_health_of_its_component(bridge: Bridge, ca
     camera.do("trigger", transition="shutdown")
     events.event(Health.LOST, "lifecycle node /camera is finalized")
     with pytest.raises(BridgeError, match="is finalized, which only a restart of it ends") as error:
-        bridge.describe(numbers(), timeout=patience())
+        bridge.describe(numbers())
     assert error.value.reason is FailureReason.UNAVAILABLE
 
 
@@ -175,9 +175,9 @@ def test_a_call_finds_its_node_active_and_the_next_one_does_not_ask_again(
     address = ("/numbers_switch", SET_BOOL)
     switch = endpoint(Role.SERVICE, *address, node="/camera", activate=True)
     switch = evolve(switch, parameters={"late": 3})
-    assert bridge.describe(switch, timeout=patience()).request is not None
+    assert bridge.describe(switch).request is not None
     for _ in range(5):
-        reply = bridge.call(switch, {"data": True}, timeout=patience())
+        reply = bridge.call(switch, {"data": True})
         assert reply == {"success": True, "message": "late 3"}
     asked = camera.do("transitions", expected=3)["asked"]
     assert (asked[:2], set(asked)) == (
@@ -195,10 +195,10 @@ def test_a_transition_that_fails_is_the_error_of_the_request(bridge: Bridge, pee
         name = fails.strip("!")
         beside.do("manage", name=name, topic="/numbers", fails=fails)
         at = numbers(node=f"/{name}")
-        structure = bridge.describe(at, timeout=patience()).message
+        structure = bridge.describe(at).message
         assert structure is not None
         with pytest.raises(BridgeError) as error:
-            bridge.open_source(at, structure, Inbox(), timeout=patience())
+            bridge.open_source(at, structure, Inbox())
         assert f"lifecycle node /{name} {words}" in str(error.value)
     assert bridge.open_channels == 0
 
@@ -218,12 +218,12 @@ REFUSED: dict[str, dict[str, object]] = {
 def test_a_parameter_that_does_not_fit_says_so_and_nothing_is_set(
     bridge: Bridge, camera: Peer
 ) -> None:
-    structure = bridge.describe(numbers(), timeout=patience()).message
+    structure = bridge.describe(numbers()).message
     assert structure is not None
     for words, parameters in REFUSED.items():
         at = numbers(parameters={"late": 1, **parameters}, afterwards="leave")
         with pytest.raises(BridgeError) as error:
-            bridge.open_source(at, structure, Inbox(), timeout=patience())
+            bridge.open_source(at, structure, Inbox())
         assert words in str(error.value)
         assert error.value.reason is FailureReason.REFUSED
     assert bridge.open_channels == 0
@@ -253,11 +253,11 @@ def test_only_what_has_another_value_is_written_to_a_plain_node_too(
 def test_options_that_do_not_fit_a_node_are_reported(bridge: Bridge, peer: Start) -> None:
     peer("plain").do("advertise", topic="/numbers")
     with pytest.raises(BridgeError, match="no node /plain with a service get_state") as error:
-        bridge.describe(numbers(node="/plain"), timeout=patience())
+        bridge.describe(numbers(node="/plain"))
     assert error.value.reason is FailureReason.NOT_FOUND
     at = evolve(numbers(node=""), component="my camera")
     with pytest.raises(BridgeError, match="'my camera' is not the name of a node"):
-        bridge.describe(at, timeout=patience())
+        bridge.describe(at)
 
 
 def test_a_request_brings_the_node_up_and_a_dead_one_is_replaced(peer: Start) -> None:

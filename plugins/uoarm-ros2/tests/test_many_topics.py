@@ -18,7 +18,6 @@ from uoarm_ros2._qos import Policies
 from uoarm.bridge import Bridge
 from uoarm.cdr._reading import reader
 from uoarm.model import Role
-from uoarm.testing import patience
 
 _MOST_LOOKS = 4
 """Both sides of the topic, what its peers offer, whether its types are ours and fresh."""
@@ -42,18 +41,18 @@ def test_one_more_topic_of_a_type_takes_few_looks_and_compiles_nothing(
         talker.do("advertise", topic=name)
     source(bridge, endpoint(Role.OUTPUT, "/first", INT64), Inbox())
     second = endpoint(Role.OUTPUT, "/second", INT64)
-    bridge.describe(second, timeout=patience())  # it is on the graph from now on
+    bridge.describe(second)  # it is on the graph from now on
     for side in ("publishers", "subscriptions"):
         monkeypatch.setattr(NodeRunner, side, counted(getattr(NodeRunner, side)))
     compiled = reader.cache_info().misses
-    structure = bridge.describe(second, timeout=patience()).message
+    structure = bridge.describe(second).message
     described = looks["/second"]
     assert structure is not None
-    bridge.open_source(second, structure, print, timeout=patience())
+    bridge.open_source(second, structure, print)
     assert described <= _MOST_LOOKS
     assert looks["/second"] - described <= _MOST_LOOKS
     assert reader.cache_info().misses == compiled
-    assert bridge.describe(second, timeout=patience()).message is structure
+    assert bridge.describe(second).message is structure
 
 
 def test_the_hash_of_our_definition_is_kept_once_the_graph_has_it_for_sure(

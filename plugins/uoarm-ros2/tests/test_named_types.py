@@ -32,7 +32,7 @@ functions: {{}}
 @pytest.mark.parametrize("name", ["sensor_msgs/msg/Imu", "test_msgs/msg/Arrays"])
 def test_it_is_what_the_bridge_describes(bridge: Bridge, name: str) -> None:
     at = endpoint(Role.INPUT, "/named", name, peer="optional")
-    described = bridge.describe(at, timeout=patience()).message
+    described = bridge.describe(at).message
     found = structure_of_type(name, {})
     assert found is not None
     assert described is not None

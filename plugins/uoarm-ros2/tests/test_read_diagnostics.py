@@ -187,7 +187,7 @@ def test_each_level_is_the_health_of_the_channel(
     driver.do("diagnose", entries=[["other", ERROR, "", {}], [WHEEL, ERROR, "stalled", {}]])
     assert events.event(Health.LOST, "ERROR").cause == f"{place}'{WHEEL}' says ERROR 'stalled'"
     with pytest.raises(BridgeError, match="/diagnostics: 'driver: left wheel' says ERROR") as error:
-        bridge.describe(numbers(), timeout=patience())
+        bridge.describe(numbers())
     assert error.value.reason is FailureReason.UNAVAILABLE
     driver.do("diagnose", entries=[[WHEEL, STALE, "old", {}]])
     events.event(Health.DEGRADED, f"'{WHEEL}' says STALE 'old'")
@@ -263,12 +263,12 @@ def test_after_an_error_it_is_read_until_the_entry_says_otherwise(
     events.event(Health.LOST, "stalled")
     opened.close()
     with pytest.raises(BridgeError, match="stalled"):
-        bridge.describe(numbers(), timeout=patience())
+        bridge.describe(numbers())
     driver.do("diagnose", entries=[[WHEEL, OK, "fine", {}]])
     event = events.event(Health.OK, "its entry no longer says ERROR")
     assert event.component == "thing"
     assert driver.do("subscriptions", topic="/diagnostics", expected=0)["count"] == 0
-    bridge.describe(numbers(), timeout=patience())
+    bridge.describe(numbers())
 
 
 @pytest.mark.parametrize("goes", ["/numbers", "/others"], ids=["one topic", "two topics"])
@@ -295,7 +295,7 @@ def test_where_the_option_does_not_go_it_is_refused(bridge: Bridge) -> None:
         endpoint(Role.OUTPUT, "/act", "test_msgs/action/Fibonacci", "result", diagnostics=WHEEL),
     ):
         with pytest.raises(BridgeError, match="diagnostics goes with topics of a comp") as error:
-            bridge.describe(at, timeout=patience())
+            bridge.describe(at)
         assert error.value.reason is FailureReason.BAD_ENDPOINT
 
 
@@ -305,7 +305,7 @@ def test_a_package_that_is_not_installed_is_named(
     monkeypatch.setitem(sys.modules, "diagnostic_msgs.msg", None)
     words = "option diagnostics: type .* install ros-<distribution>-diagnostic-msgs"
     with pytest.raises(BridgeError, match=words) as error:
-        bridge.describe(numbers(), timeout=patience())
+        bridge.describe(numbers())
     assert error.value.reason is FailureReason.NOT_FOUND
 
 

@@ -49,7 +49,7 @@ def test_the_octets_are_those_that_came(
     ):
         monkeypatch.setattr(Codec, "encode", counted)
         talker.do("publish", topic="/numbers", count=100)
-        wait(lambda: recording.status().channels[0].recorded == 100, "not all came", patience())
+        wait(lambda: recording.status().channels[0].recorded == 100, "not all came")
     assert not encoded
     with path.open("rb") as file:
         found = [

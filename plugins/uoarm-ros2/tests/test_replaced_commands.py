@@ -99,7 +99,7 @@ def test_a_configuration_stops_what_it_replaces_before_the_next_is_commanded(
     with RobotManager(loads(text(3, host))) as robot, robot.request("drive") as drive:
         with commanding(drive):
             wait(lambda: has_come(base, "/left"))
-            robot.apply(loads(text(1, host)), timeout=patience())
+            robot.apply(loads(text(1, host)))
             wait(lambda: has_come(base, "/right"))
         wait(lambda: is_in_order(base), "the right one moved before the left one had stopped")
 

@@ -100,7 +100,7 @@ def test_a_late_answer_is_a_time_out_and_harms_no_other_call(bridge: Bridge, pee
 def test_a_server_that_is_killed_in_mid_call_ends_the_call(bridge: Bridge, peer: Start) -> None:
     peer("server", **MORTAL).do("die", name="/mortal")
     with pytest.raises(BridgeError, match="went away in mid-call") as caught:
-        bridge.call(service("/mortal", BASIC), request(), timeout=patience())
+        bridge.call(service("/mortal", BASIC), request())
     assert caught.value.reason is FailureReason.UNAVAILABLE
 
 
@@ -131,7 +131,7 @@ def test_a_hasty_call_does_not_say_that_there_is_no_server(
     ):
         bridge.call(hasty, request(), timeout=0.2)
     with pytest.raises(BridgeError, match="no server of /nowhere"):
-        bridge.call(hasty, request(), timeout=patience())
+        bridge.call(hasty, request())
 
 
 def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
@@ -312,7 +312,7 @@ def test_an_action_is_a_call(make_bridge: Make, peer: Start) -> None:
 def test_an_action_that_is_given_up_is_cancelled(bridge: Bridge, peer: Start) -> None:
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05)
-    bridge.call(service("/fibonacci", FIBONACCI), {"order": 2}, timeout=patience())  # it is known
+    bridge.call(service("/fibonacci", FIBONACCI), {"order": 2})  # it is known
     while server.do("goals_begun")["count"] == 1:  # one may be given up before it has begun
         with pytest.raises(BridgeTimeoutError):
             bridge.call(service("/fibonacci", FIBONACCI), {"order": 2000}, timeout=0.5)
@@ -380,7 +380,7 @@ def test_an_action_that_an_emergency_stop_ends_is_cancelled(
         calling = threading.Thread(target=call)
         calling.start()
         server.do("goal_begun")
-        (outcome,) = robot.stop_all(timeout=patience()).inputs
+        (outcome,) = robot.stop_all().inputs
         calling.join(patience())
         assert (outcome.component, outcome.stopped) == ("arm", True)
         assert "the emergency stop cancelled the call" in str(came[0])

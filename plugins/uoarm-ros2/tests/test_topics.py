@@ -263,7 +263,7 @@ def test_who_comes_while_the_type_is_looked_for_is_fitted(
     talker, find = peer("talker"), bridge._types.find
     topic = "/meanwhile"
     at = endpoint(Role.OUTPUT, topic, INT64, peer="optional")
-    structure = bridge.describe(at, timeout=patience()).message
+    structure = bridge.describe(at).message
     assert structure is not None
 
     def find_late(*wanted: Any) -> Any:
@@ -274,7 +274,7 @@ def test_who_comes_while_the_type_is_looked_for_is_fitted(
 
     monkeypatch.setattr(bridge._types, "find", find_late)
     inbox = Inbox()
-    assert bridge.open_source(at, structure, inbox, timeout=patience()).latched
+    assert bridge.open_source(at, structure, inbox).latched
     assert inbox.wait_for(1) == [{"data": 1}]
 
 
@@ -364,7 +364,7 @@ def test_a_clash_that_is_known_is_not_waited_for(bridge: Bridge, peer: Start, ro
         other.do("subscribe", topic="/stern", durability="transient_local")
         asked = {"durability": "volatile"}
     at = endpoint(role, "/stern", INT64, qos=asked, wait=60.0)
-    structure = bridge.describe(at, timeout=patience()).message
+    structure = bridge.describe(at).message
     assert structure is not None
     limit = min(30.0, patience())  # to wait longer is another error
     opening: Callable[[], object]

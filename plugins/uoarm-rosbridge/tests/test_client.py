@@ -94,14 +94,14 @@ def test_tls_is_spoken_and_the_token_shown(
     address = url(serve(certificate=certificate, access=access)).replace("ws://", "wss://")
     source = Endpoint("far", "numbers", Role.OUTPUT, ("/uoarm/numbers",))
     with bridge_to(address, tls={"ca": str(trusted)}, token_file=str(secret)) as bridge:
-        assert bridge.describe(source, timeout=patience()).message is not None
+        assert bridge.describe(source).message is not None
     refused = (
         ({"tls": {"ca": str(trusted)}}, "401: is the token right"),
         ({"token_file": str(secret)}, "not trusted: .*; give its authority as `ca`"),
     )
     for options, why in refused:
         with bridge_to(address, **options) as bridge, pytest.raises(BridgeError, match=why):
-            bridge.describe(source, timeout=patience())
+            bridge.describe(source)
 
 
 def test_files_that_were_renewed_count_from_the_next_connection_on(
@@ -131,7 +131,7 @@ def test_files_that_were_renewed_count_from_the_next_connection_on(
             bridge = bridges.enter_context(bridge_to(address, grace=60, **shown))
             events: list[HealthEvent] = []
             bridge.watch(events.append)
-            assert bridge.describe(source, timeout=patience()).message is not None
+            assert bridge.describe(source).message is not None
         eventually(lambda: bool(events), "the break is reported")
         renew()
         with serve_in_thread(robot, evolve(options, port=server.ports[0])):
@@ -142,7 +142,7 @@ def test_a_redirection_is_said_with_what_to_do() -> None:
     with redirecting("http://robot.example/ros/") as place:
         why = f"{place}: it redirects: give ws://robot.example/ros/ as the address"
         with bridge_to(place) as bridge, pytest.raises(BridgeError, match=why):
-            bridge.describe(TALK, timeout=patience())
+            bridge.describe(TALK)
 
 
 def test_a_message_of_a_topic_comes_once_to_each_source(played: Played) -> None:
@@ -249,7 +249,7 @@ def test_a_reply_that_does_not_fit_is_refused_with_the_service(played: Played) -
     say = Endpoint("far", "speaker", Role.SERVICE, ("/say",))
     text = r"at \['/say'\]: the reply: .*: expected an object of data, got dict"
     with bridge_to(played.url) as bridge, pytest.raises(MessageError, match=text):
-        bridge.call(say, {"data": "?"}, timeout=patience())
+        bridge.call(say, {"data": "?"})
 
 
 def test_a_server_that_is_not_there_is_named() -> None:

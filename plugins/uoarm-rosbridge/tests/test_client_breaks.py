@@ -215,7 +215,7 @@ def test_a_call_that_breaks_fails_at_once_and_is_not_sent_again(played: Played) 
     with bridge_to(played.url, grace=LONG) as bridge:
         played.answers.pop("set")
         with pytest.raises(BridgeError) as caught:
-            bridge.call(call, {"data": True}, timeout=patience())
+            bridge.call(call, {"data": True})
         assert caught.value.reason in {FailureReason.UNAVAILABLE, FailureReason.RAISED}
         calls = [fields for fields in asked(played, "call_service") if fields["service"] == "/set"]
         assert len(calls) == 1

@@ -146,13 +146,13 @@ def test_a_goal_is_sent_until_its_server_knows_it_and_no_longer(played: Played) 
     server = Actionlib(played, missed=2)
     server.on_goal = lambda identity: server.status((identity, ACTIVE))
     with bridge_to(played.url) as bridge:
-        calling = Background(lambda: bridge.call(ADD, {"a": 1, "b": 2}, timeout=patience()))
+        calling = Background(lambda: bridge.call(ADD, {"a": 1, "b": 2}))
         eventually(lambda: server.goals, "the goal comes")
         (identity,) = server.goals
         sent = [fields for fields in asked(played, "publish") if fields["topic"] == "/add/goal"]
         assert {fields["msg"]["goal_id"]["id"] for fields in sent} == {identity}
         server.result(identity, SUCCEEDED, 3)
-        assert calling.result(patience()) == {"sum": 3}
+        assert calling.result() == {"sum": 3}
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_a_goal_that_fails_says_how(played: Played, status: int, word: str) -> N
         bridge_to(played.url) as bridge,
         pytest.raises(BridgeError, match=f"the goal was {word}: it cannot") as caught,
     ):
-        bridge.call(ADD, {"a": 1, "b": 2}, timeout=patience())
+        bridge.call(ADD, {"a": 1, "b": 2})
     assert caught.value.reason is FailureReason.RAISED
 
 
@@ -207,7 +207,7 @@ def test_a_goal_that_its_server_forgets_is_lost(played: Played) -> None:
         bridge_to(played.url) as bridge,
         pytest.raises(BridgeError, match="its server does not know it any more") as caught,
     ):
-        bridge.call(ADD, {"a": 1, "b": 2}, timeout=patience())
+        bridge.call(ADD, {"a": 1, "b": 2})
     assert caught.value.reason is FailureReason.UNAVAILABLE
 
 
@@ -218,7 +218,7 @@ def test_a_server_that_says_nothing_loses_its_goals(played: Played) -> None:
         bridge_to(played.url, silence=0.5) as bridge,
         pytest.raises(BridgeError, match=r"no status for 0\.5 s"),
     ):
-        bridge.call(ADD, {"a": 1, "b": 2}, timeout=patience())
+        bridge.call(ADD, {"a": 1, "b": 2})
 
 
 def test_a_result_that_does_not_come_is_not_waited_for(played: Played) -> None:
@@ -228,22 +228,22 @@ def test_a_result_that_does_not_come_is_not_waited_for(played: Played) -> None:
         bridge_to(played.url, wait=0.5) as bridge,
         pytest.raises(BridgeError, match="its result did not come"),
     ):
-        bridge.call(ADD, {"a": 1, "b": 2}, timeout=patience())
+        bridge.call(ADD, {"a": 1, "b": 2})
 
 
 def test_goals_end_with_the_connection_and_the_next_ones_pass(played: Played) -> None:
     server = Actionlib(played)
     with bridge_to(played.url, grace=LONG) as bridge:
-        calling = Background(lambda: bridge.call(ADD, {"a": 1, "b": 2}, timeout=patience()))
+        calling = Background(lambda: bridge.call(ADD, {"a": 1, "b": 2}))
         eventually(lambda: server.goals, "the goal comes")
         played.sockets[-1].close()
         with pytest.raises(BridgeError, match="the goal was lost"):
-            calling.result(patience())
+            calling.result()
         server.on_goal = lambda identity: server.result(identity, SUCCEEDED, 7)
 
         def passes() -> bool:
             try:
-                reply = bridge.call(ADD, {"a": 1, "b": 2}, timeout=patience())
+                reply = bridge.call(ADD, {"a": 1, "b": 2})
             except BridgeError:
                 return False
             assert reply == {"sum": 7}
@@ -259,7 +259,7 @@ def test_nonsense_on_the_topics_of_an_action_fails_its_goals(played: Played) -> 
         bridge_to(played.url) as bridge,
         pytest.raises(BridgeError, match="what the server sends cannot be read"),
     ):
-        bridge.call(ADD, {"a": 1, "b": 2}, timeout=patience())
+        bridge.call(ADD, {"a": 1, "b": 2})
 
 
 def test_an_action_without_a_server_is_named_and_its_coming_is_said(played: Played) -> None:

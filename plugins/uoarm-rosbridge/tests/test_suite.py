@@ -101,12 +101,12 @@ def test_a_call_that_lasts_holds_up_no_message(bridge: Bridge) -> None:
     channel = bridge.serve(offered, answer)
     called = at(Role.SERVICE, "/ours/slow")
     eventually(lambda: is_there(bridge, called), "the service is there")
-    calling = Background(lambda: bridge.call(called, {"data": True}, timeout=patience()))
+    calling = Background(lambda: bridge.call(called, {"data": True}))
     sink = bridge.open_sink(asked, stream(bridge, asked))  # asks rosapi, too
     sink.send({"data": "x"})
     assert sink.drain(patience())
     gate.deliver({})
-    assert calling.result(patience()) == {"success": True, "message": ""}
+    assert calling.result() == {"success": True, "message": ""}
     channel.close()
 
 

@@ -19,7 +19,7 @@ from tests.server.talk import eventually  # type: ignore[import-not-found]
 from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Role
-from uoarm.testing import Background, Collector, patience
+from uoarm.testing import Background, Collector
 
 ADDRESS, _, MASTER = os.environ.get("UOARM_ROSBRIDGE_SUITE_ROS1", "").partition(" ")
 ROS_PYTHON = "/usr/bin/python3"  # what Debian installs belongs to it alone
@@ -105,7 +105,7 @@ def test_a_goal_that_is_given_up_is_cancelled(bridge: Bridge) -> None:
     hold = at(Role.SERVICE, *HOLD)
     with pytest.raises(BridgeTimeoutError):
         bridge.call(hold, {"a": 1, "b": 1}, timeout=1)
-    first = Background(lambda: bridge.call(hold, {"a": 1, "b": 2}, timeout=patience()))
+    first = Background(lambda: bridge.call(hold, {"a": 1, "b": 2}))
     states, state = Collector(), at(Role.OUTPUT, "/behind/hold/status")
     bridge.open_source(state, stream(bridge, state), states.deliver)
 
@@ -118,7 +118,7 @@ def test_a_goal_that_is_given_up_is_cancelled(bridge: Bridge) -> None:
     everything = {"stamp": {"secs": 0, "nsecs": 0}, "id": ""}
     bridge.open_sink(cancel, stream(bridge, cancel)).send(everything)
     with pytest.raises(BridgeError, match="the goal was preempted: let go"):
-        first.result(patience())
+        first.result()
 
 
 def test_every_node_is_discovered_with_structures(bridge: Bridge) -> None:

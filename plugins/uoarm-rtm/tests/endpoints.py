@@ -8,7 +8,7 @@ from uoarm_rtm._orb import limit
 
 from uoarm.bridge import Bridge, Channel
 from uoarm.model import Endpoint, Role
-from uoarm.testing import patience, slowness, wait
+from uoarm.testing import slowness, wait
 
 # As `call_timeout`, the longest there is: what answers late on a busy machine has not failed.
 ANSWERS = 60.0
@@ -29,15 +29,15 @@ def of(component: str, role: Role, port: str, **options: Any) -> Endpoint:
 
 
 def source(bridge: Bridge, at: Endpoint, take: Any) -> Channel:
-    structure = bridge.describe(at, timeout=patience()).message
+    structure = bridge.describe(at).message
     assert structure is not None
-    return bridge.open_source(at, structure, take, timeout=patience())
+    return bridge.open_source(at, structure, take)
 
 
 def sink(bridge: Bridge, at: Endpoint) -> Any:
-    structure = bridge.describe(at, timeout=patience()).message
+    structure = bridge.describe(at).message
     assert structure is not None
-    return bridge.open_sink(at, structure, timeout=patience())
+    return bridge.open_sink(at, structure)
 
 
 def stamped(data: Any, sec: int = 1) -> Any:

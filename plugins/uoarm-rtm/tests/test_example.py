@@ -98,7 +98,7 @@ def test_a_chain_through_ros_and_rtc_and_its_refusal(
         assert say(talker) == "talking on /chatter\n"
         with (
             RobotManager.from_file(file) as robot,
-            robot.request("parrot", validate="always", timeout=patience()) as said,
+            robot.request("parrot", validate="always") as said,
         ):
             words = said.get(timeout=patience())["text"].split(", ")
             assert words[0] == words[1]
@@ -109,7 +109,7 @@ def test_a_chain_through_ros_and_rtc_and_its_refusal(
             RobotManager.from_file(file) as robot,
             pytest.raises(ResolutionError, match=r"(?s)'text' is required .* map: {text: data}"),
         ):
-            robot.request("parrot", timeout=patience())
+            robot.request("parrot")
 
 
 def test_the_tables_of_options_are_what_the_plugin_declares() -> None:

@@ -100,7 +100,7 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
     # At once, as each takes all of the limit.
     sending = Background(lambda: into.send(stamped(1)))
     describing = Background(lambda: bridge.describe(OUT))
-    discovering = Background(lambda: bridge.discover(timeout=patience()))
+    discovering = Background(bridge.discover)
     with pytest.raises(BridgeTimeoutError, match="did not take a message"):
         sending.result()
     with pytest.raises(BridgeTimeoutError):
@@ -123,14 +123,14 @@ def test_a_bridge_has_its_own_limit_where_one_with_a_longer_one_began_the_orb(
 
     def ask() -> None:
         try:
-            patient.describe(OUT, timeout=patience())
+            patient.describe(OUT)
         finally:
             has_ended.set()
 
     asking = Background(ask)
     wait(lambda: calls._count == 1)
     with pytest.raises(BridgeTimeoutError):
-        hasty.describe(OUT, timeout=patience())
+        hasty.describe(OUT)
     assert not has_ended.is_set()
     component.thaw()
     asking.result()
@@ -236,7 +236,7 @@ def test_an_in_port_is_never_disconnected_while_it_takes_a_message(
             closing.result(0.3)
         assert component.connectors() == [1, 0]
         component.release()
-        sending.result(patience())
+        sending.result()
         closing.result(patience())
     assert component.connectors() == [0, 0]
 

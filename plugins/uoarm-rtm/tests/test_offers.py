@@ -110,7 +110,7 @@ class World:
         self.robot = RobotManager(loads(text), bridges={"rtm": self.rtm, "one": self.one})
 
     def offer(self) -> None:
-        for status in self.robot.offer(timeout=patience()):
+        for status in self.robot.offer():
             assert status.state is OfferState.OPEN, status.cause
 
 
@@ -140,7 +140,7 @@ def test_ports_of_an_offer_are_found_and_used_by_other_components(
         ("mover0", "Arm::Mover")
     ]
     asked = endpoint(Role.SERVICE, "Robot.rtc", "helper", "Mover::echo", timeout=patience())
-    assert theirs.call(asked, {"words": "hi"}, timeout=patience()) == {"return": "HI"}
+    assert theirs.call(asked, {"words": "hi"}) == {"return": "HI"}
 
     inbox = Inbox()
     source(theirs, endpoint(Role.OUTPUT, "Robot.rtc", "count"), inbox)
@@ -166,9 +166,7 @@ def test_types_are_derived_from_structures_and_their_idl_is_at_the_port(
     pose, goal = one.emitter("pose", POSE), one.taker("goal", GOAL)
     one.emitter("loose", {"type": "object", "properties": {"n": {"type": "integer"}}})
     with RobotManager(loads(UNTYPED), bridges={"rtm": rtm, "one": one}) as robot:
-        states = {
-            offer_status.function: offer_status for offer_status in robot.offer(timeout=patience())
-        }
+        states = {offer_status.function: offer_status for offer_status in robot.offer()}
         assert states["pose"].state is OfferState.OPEN, states["pose"].cause
         assert states["goal"].state is OfferState.OPEN, states["goal"].cause
         assert "field 'n': a struct has all its members" in states["loose"].cause
@@ -212,9 +210,7 @@ offer:
     loose: {service: {endpoint: [self, loose]}}
 """
     with RobotManager(loads(text), bridges={"rtm": rtm, "one": one}) as robot:
-        states = {
-            offer_status.function: offer_status for offer_status in robot.offer(timeout=patience())
-        }
+        states = {offer_status.function: offer_status for offer_status in robot.offer()}
         assert "no IDL can be derived" in states["loose"].cause
 
         def ask(name: str, arguments: Any) -> Any:
@@ -243,7 +239,7 @@ def test_offers_of_a_bridge_in_a_host_are_as_those_of_any(
     text = text.replace("loose: {output: {endpoint: [self, loose]}}", LOUD_OFFER)
     text = text.replace("offer:", LOUD + "offer:")
     with RobotManager(loads(text), bridges={"one": one}) as robot:
-        for status in robot.offer(timeout=patience()):
+        for status in robot.offer():
             assert status.state is OfferState.OPEN, status.cause
         theirs: Any = make_bridge("other", idl=IDL)
         ports = {port.name: port for port in theirs._directory.peer("Far.rtc").ports}
@@ -256,4 +252,4 @@ def test_offers_of_a_bridge_in_a_host_are_as_those_of_any(
         sink(theirs, endpoint(Role.INPUT, "Far.rtc", "goal")).send({"joint": -5})
         assert goal.taken.wait(1) == [{"joint": -5}]
         asked = endpoint(Role.SERVICE, "Far.rtc", "helper", "Mover::echo", timeout=patience())
-        assert theirs.call(asked, {"words": "hi"}, timeout=patience()) == {"return": "HI"}
+        assert theirs.call(asked, {"words": "hi"}) == {"return": "HI"}

@@ -153,7 +153,7 @@ def test_a_call_that_did_not_come_back_in_time_is_not_waited_for_again() -> None
     guard = _orb.CallGuard()
     with guard:
         assert not guard.end(0.0)
-        assert not Background(lambda: guard.end(2 * patience())).result(patience())
+        assert not Background(lambda: guard.end(2 * patience())).result()
     assert guard.end(0.0)
 
 

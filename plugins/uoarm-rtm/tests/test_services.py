@@ -136,7 +136,7 @@ def test_each_call_has_the_limit_that_it_came_with(
 ) -> None:
     bridge = make_bridge(idl=IDL)
     sleep = endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::sleep")
-    assert bridge.call(sleep, {"seconds": 0.0}, timeout=patience()) == {}
+    assert bridge.call(sleep, {"seconds": 0.0}) == {}
     reached, go = threading.Event(), threading.Event()
 
     def first_waits(what: str) -> Any:
@@ -146,7 +146,7 @@ def test_each_call_has_the_limit_that_it_came_with(
         return corba_errors(what)
 
     monkeypatch.setattr(_services, "corba_errors", first_waits)
-    calling = Background(lambda: bridge.call(sleep, {"seconds": 0.5}, timeout=patience()))
+    calling = Background(lambda: bridge.call(sleep, {"seconds": 0.5}))
     assert reached.wait(patience())
     with pytest.raises(BridgeTimeoutError):
         bridge.call(sleep, {"seconds": patience()}, timeout=0.1)
@@ -231,7 +231,7 @@ def test_a_step_that_goes_on_after_its_bridge_was_closed_leaves_nothing_behind(
     other: Any = make_bridge("other", idl=IDL)
     served = other._directory.peer("Robot.rtc").port("served").reference
     echo = endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::echo")
-    assert bridge.call(echo, {"words": "a"}, timeout=patience()) == {"return": "a"}
+    assert bridge.call(echo, {"words": "a"}) == {"return": "a"}
     (caller,) = bridge._callers.values()
     assert len(served.get_connector_profiles()) == 1
     bridge.close(timeout=patience())
@@ -331,7 +331,7 @@ def test_lifecycle_as_calls(bridge: Bridge, peer: Start) -> None:
 def test_an_endpoint_may_limit_its_calls(make_bridge: Make, robot: Peer) -> None:
     at = endpoint(Role.SERVICE, "Robot.rtc", "served", "Arm::Mover::sleep", timeout=0.2)
     with pytest.raises(BridgeTimeoutError, match=r"within 0.2 s, `timeout` of the endpoint"):
-        make_bridge(idl=IDL).call(at, {"seconds": patience()}, timeout=patience())
+        make_bridge(idl=IDL).call(at, {"seconds": patience()})
     robot.wake()
 
 
@@ -341,12 +341,12 @@ def test_a_call_timeout_limits_operations_whose_endpoint_has_no_limit(
     bridge: Any = make_bridge(idl=IDL, call_timeout=60)
     name = "Robot.rtc", "served", "Arm::Mover::sleep"
     at = endpoint(Role.SERVICE, *name, timeout=patience())
-    assert bridge.call(at, {"seconds": 0.3}, timeout=patience()) == {}
+    assert bridge.call(at, {"seconds": 0.3}) == {}
     # Only now: it is that of connecting, too, which takes what it takes.
     bridge._options = evolve(bridge._options, call_timeout=0.2)
-    assert bridge.call(at, {"seconds": 0.3}, timeout=patience()) == {}
+    assert bridge.call(at, {"seconds": 0.3}) == {}
     with pytest.raises(BridgeTimeoutError, match=r"within 0.2 s, `call_timeout` of the bridge"):
-        bridge.call(endpoint(Role.SERVICE, *name), {"seconds": patience()}, timeout=patience())
+        bridge.call(endpoint(Role.SERVICE, *name), {"seconds": patience()})
     robot.wake()
 
 
@@ -421,7 +421,7 @@ def test_of_ports_of_one_name_that_open_at_once_one_is_there(
     def begin() -> Channel:
         if role is Role.SERVICE:
             at = endpoint(role, "self", "ours", "Mover::echo")
-            return bridge.serve(at, lambda message: message, timeout=patience())  # type: ignore[no-any-return]
+            return bridge.serve(at, lambda message: message)  # type: ignore[no-any-return]
         at = endpoint(role, "self", "ours", "RTC::TimedLong")
         return source(bridge, at, Inbox()) if role is Role.OUTPUT else sink(bridge, at)
 

@@ -112,7 +112,7 @@ def test_several_hangs_are_reported_after_the_limit_of_one_call(
 
     def measure() -> None:
         with contextlib.suppress(BridgeError):
-            other.describe(of("Into0", Role.INPUT, "in"), timeout=patience())
+            other.describe(of("Into0", Role.INPUT, "in"))
         has_ended.set()
 
     measuring = Background(measure)

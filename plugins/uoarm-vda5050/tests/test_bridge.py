@@ -30,11 +30,7 @@ def test_a_transport_order_is_a_call(broker: Broker, release: str) -> None:
         driven(broker, serial, release=release) as driver,
         bridge_to(broker, release=release) as bridge,
     ):
-        result = bridge.call(
-            endpoint(serial, "transport"),
-            goal("a", "b", "c", b="pick", c="drop"),
-            timeout=patience(),
-        )
+        result = bridge.call(endpoint(serial, "transport"), goal("a", "b", "c", b="pick", c="drop"))
         wait(lambda: driver.done == ["b", "pick", "c", "drop"])  # noted after the report
         assert isinstance(result, dict)
         assert result["lastNodeId"] == "c"
@@ -49,12 +45,12 @@ def test_streams_report_what_becomes_of_a_goal(broker: Broker) -> None:
             bridge.open_source(place, ANYTHING, collector.deliver)
         sink = bridge.open_sink(endpoint("streams", "transport", "goal"), ANYTHING)
         sink.send(goal("a", "b", order="one"))
-        assert reports["status"].wait(1, patience()) == [{"goal_id": "one", "status": "accepted"}]
+        assert reports["status"].wait(1) == [{"goal_id": "one", "status": "accepted"}]
         driver.let("b")
-        (ended,) = reports["result"].wait(1, patience())
+        (ended,) = reports["result"].wait(1)
         assert ended["status"] == "succeeded"
-        assert reports["status"].wait(2, patience())[1] == {"goal_id": "one", "status": "succeeded"}
-        assert reports["feedback"].wait(1, patience())[0]["feedback"]["lastNodeId"] == "a"
+        assert reports["status"].wait(2)[1] == {"goal_id": "one", "status": "succeeded"}
+        assert reports["feedback"].wait(1)[0]["feedback"]["lastNodeId"] == "a"
 
 
 def test_instant_actions_of_2_0_have_either_name(broker: Broker) -> None:
@@ -72,7 +68,7 @@ def test_instant_actions_of_2_0_have_either_name(broker: Broker) -> None:
             return [action["actionStatus"] for action in states[-1]["actionStates"]]
 
         expected = ["FINISHED", "FINISHED", "FAILED"]
-        wait(lambda: states and became() == expected, f"{states[-1:]}", patience())
+        wait(lambda: states and became() == expected, f"{states[-1:]}")
     peer.close()
 
 
@@ -90,9 +86,9 @@ def test_a_goal_is_cancelled(broker: Broker) -> None:
         sink = bridge.open_sink(endpoint("cancelled", "transport", "goal"), ANYTHING)
         cancel = bridge.open_sink(endpoint("cancelled", "transport", "cancel"), ANYTHING)
         sink.send(goal("a", "b", "c", order="long"))
-        status.wait(1, patience())
+        status.wait(1)
         cancel.send({"goal_id": "long"})
-        assert status.wait(2, patience())[1] == {"goal_id": "long", "status": "canceled"}
+        assert status.wait(2)[1] == {"goal_id": "long", "status": "canceled"}
         assert driver.vehicle.is_idle
         assert driver.done == []
 
@@ -105,7 +101,7 @@ def test_a_call_that_an_emergency_stop_ends_is_cancelled(broker: Broker) -> None
     ):
         place, order = endpoint("stopped", "transport"), goal("a", "b")
         called = pool.submit(bridge.call, place, order, timeout=patience(), number=5)
-        wait(lambda: not driver.vehicle.is_idle, "the vehicle has no order", patience())
+        wait(lambda: not driver.vehicle.is_idle, "the vehicle has no order")
         assert bridge.cancel_call(5)
         with pytest.raises(BridgeError, match="canceled"):
             called.result(patience())
@@ -117,7 +113,7 @@ def test_a_call_that_is_under_way_ends_as_the_bridge_closes(broker: Broker) -> N
     with driven(broker, "left", "b") as driver, bridge_to(broker) as bridge:
         place, order = endpoint("left", "transport"), goal("a", "b")
         call = Background(lambda: bridge.call(place, order, timeout=2 * patience()))
-        wait(lambda: not driver.vehicle.is_idle, "the vehicle has no order", patience())
+        wait(lambda: not driver.vehicle.is_idle, "the vehicle has no order")
         bridge.close(timeout=patience())
         with pytest.raises(BridgeError, match=r"the bridge was closed|ended canceled"):
             call.result()
@@ -127,7 +123,7 @@ def test_what_the_vehicle_refuses_is_reported(broker: Broker) -> None:
     place, order = endpoint("refusing", "transport"), goal("a", "b", b="dance")
     refusal = pytest.raises(BridgeError, match=r"rejected: .*orderError.*no such actions: dance")
     with driven(broker, "refusing"), bridge_to(broker) as bridge, refusal:
-        bridge.call(place, order, timeout=patience())
+        bridge.call(place, order)
 
 
 def test_a_vehicle_that_dies_is_lost_at_once(broker: Broker) -> None:
@@ -136,9 +132,9 @@ def test_a_vehicle_that_dies_is_lost_at_once(broker: Broker) -> None:
         bridge.open_source(endpoint("dying", "transport", "status"), ANYTHING, status.deliver)
         sink = bridge.open_sink(endpoint("dying", "transport", "goal"), ANYTHING)
         sink.send(goal("a", "b", order="half"))
-        status.wait(1, patience())
+        status.wait(1)
         _die(driver.vehicle)
-        assert status.wait(2, patience())[1] == {"goal_id": "half", "status": "lost"}
+        assert status.wait(2)[1] == {"goal_id": "half", "status": "lost"}
         lost = until(events, Health.LOST)
         assert lost.component == "dying"
         assert "CONNECTIONBROKEN" in lost.cause
@@ -199,7 +195,7 @@ def test_a_vehicle_that_is_slow_to_be_followed_holds_up_no_other(
 
     def follow(serial: str) -> Any:
         place = endpoint(serial, "transport", "status")
-        return bridge.open_source(place, ANYTHING, lambda _: None, timeout=patience())
+        return bridge.open_source(place, ANYTHING, lambda _: None)
 
     monkeypatch.setattr(BrokerConnection, "subscribe", late)
     with driven(broker, "slow"), driven(broker, "quick"), bridge_to(broker) as bridge:

@@ -176,13 +176,13 @@ def test_states_that_were_not_followed_are_in_the_facts(broker: Broker) -> None:
             return int(str(source.facts()[name]))
 
         bridge.open_sink(endpoint("missed", "transport", "goal"), ANYTHING).send(goal("a", "b"))
-        status.wait(1, patience())  # a state was seen, from which the next ones are counted
+        status.wait(1)  # a state was seen, from which the next ones are counted
         for _ in range(3):
             driver.vehicle._headers.next("state")
-        wait(lambda: counted("states_missed") >= 3, str(source.facts()), patience())
+        wait(lambda: counted("states_missed") >= 3, str(source.facts()))
         topic = f"{driver.vehicle._topic}/state"
         driver.vehicle._broker.publish(topic, b"{", lambda _: None, qos=0)
-        wait(lambda: counted("states_unreadable") == 1, str(source.facts()), patience())
+        wait(lambda: counted("states_unreadable") == 1, str(source.facts()))
 
 
 @pytest.mark.parametrize("lacking", ["errors", "driving", "nodeStates"])
@@ -372,7 +372,7 @@ def test_states_that_cannot_be_read_count_against_what_is_read_from_them(broker:
         topic = f"{driver.vehicle._topic}/state"
         driver.vehicle._broker.publish(topic, b"{", lambda _: None, qos=0)
         # The states that follow can be read, and nothing of them is a result.
-        wait(lambda: source.unreadable == 1 and "" in got.unread, str(got.unread), patience())
+        wait(lambda: source.unreadable == 1 and "" in got.unread, str(got.unread))
         assert "Expecting property name" in next(filter(None, got.unread))
         assert got.messages == []
 

@@ -44,7 +44,7 @@ def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
         return not done.returncode
 
     try:
-        wait(answered, "the vehicle of the example did not come up", patience())
+        wait(answered, "the vehicle of the example did not come up")
         result = json.loads(said[0])
         assert result["lastNodeId"] == "shelf"
         assert [action["actionStatus"] for action in result["actions"]] == ["FINISHED"]
@@ -67,7 +67,7 @@ def test_vehicles_that_are_not_configured_are_used(broker: Broker, tmp_path: Pat
         driven(broker, "stranger", release="3.0", interface="unnamed") as driver,
         RobotManager.from_file(file) as robot,
     ):
-        robot.call("transport", goal("a", "b", b="pick"), timeout=patience())
+        robot.call("transport", goal("a", "b", b="pick"))
         wait(lambda: driver.done == ["b", "pick"])  # noted after the report
 
 

@@ -22,7 +22,7 @@ from fleet import bridge_to, driven, endpoint, goal
 from uoarm.bridge import Registry
 from uoarm.errors import ConfigurationError
 from uoarm.schema import check
-from uoarm.testing import patience, wait
+from uoarm.testing import wait
 
 GIVEN = os.environ.get("VDA5050_SCHEMAS", "")
 NEEDS_THEM = pytest.mark.skipif(not GIVEN, reason="VDA5050_SCHEMAS is not set")
@@ -125,14 +125,14 @@ def test_what_a_vehicle_says_is_as_published(
         bridge_to(broker, release=release, interface="published") as bridge,
     ):
         order = goal("a", "b", b="pick")
-        bridge.call(endpoint(serial, "transport"), order, timeout=patience())
+        bridge.call(endpoint(serial, "transport"), order)
         driver.vehicle.raise_error("tired", "of driving")
 
         def came(topic: str) -> list[Any]:
             return [json.loads(item.payload) for item in said if item.topic.endswith(topic)]
 
-        wait(lambda: all(came(topic) for topic in topics), "not all was said", patience())
-        wait(lambda: any(item["errors"] for item in came("state")), "no error", patience())
+        wait(lambda: all(came(topic) for topic in topics), "not all was said")
+        wait(lambda: any(item["errors"] for item in came("state")), "no error")
     peer.close()
     for topic in topics:
         (file,) = (Path(GIVEN) / f"{release}.0").glob(f"{topic}.*")
