@@ -38,9 +38,6 @@ class HostedWorld(World):
     def samples(self, kind: str) -> Sequence[Message]:
         return samples(kind)
 
-    def victim(self) -> Victim:
-        return self.victims()[0]
-
     def victims(self) -> Sequence[Victim]:
         made = []
         for name in ("first", "second"):

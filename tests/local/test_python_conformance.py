@@ -37,9 +37,6 @@ class PythonWorld(World):
     def samples(self, kind: str) -> Sequence[Message]:
         return samples(kind)
 
-    def victim(self) -> Victim:
-        return self.victims()[0]
-
     def victims(self) -> Sequence[Victim]:
         return [
             Victim(

@@ -85,9 +85,6 @@ class MemoryWorld(World):
         assert self._made is not None
         return self._made
 
-    def victim(self) -> Victim:
-        return self.victims()[0]
-
     def victims(self) -> list[Victim]:
         return [
             Victim(at(name, Role.OUTPUT), partial(self.made.die, name))

@@ -110,9 +110,6 @@ class MqttWorld(World):
     def victims(self) -> Sequence[Victim]:
         return [self._victim(name) for name in ("victim/a", "victim/b")]
 
-    def victim(self) -> Victim:
-        return self._victim("victim/a")
-
     def _victim(self, name: str) -> Victim:
         topic = f"{self.at}/{name}/presence"
         peer = self.peer(will=(topic, "gone"))

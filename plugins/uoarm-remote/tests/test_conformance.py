@@ -61,9 +61,6 @@ class ManagerWorld(World):
             return [{"value": value} for value in (-(2**63), 2**53 + 1, 2**63 - 1)]
         return [{"x": -0.0, "y": 5e-324, "name": "\U0001f916"}]
 
-    def victim(self) -> Victim:
-        return self.victims()[0]
-
     def victims(self) -> Sequence[Victim]:
         return [Victim(self.at(name, Role.OUTPUT), end.set) for name, end in stage.ends.items()]
 

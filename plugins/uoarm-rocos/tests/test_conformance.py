@@ -152,9 +152,6 @@ class RocosWorld(World):
     def samples(self, kind: str) -> list[Message]:
         return SAMPLES[kind]
 
-    def victim(self) -> Victim:
-        return self.victims()[0]
-
     def victims(self) -> list[Victim]:
         return [
             Victim(endpoint(name, "integers"), self._devices[name].close)

@@ -88,9 +88,6 @@ class Ros1World(World):
             return [scan(value) for value in (math.nan, math.inf, -math.inf, 0.1)]
         return [zero(KINDS[kind])]
 
-    def victim(self) -> Victim:
-        return self.victims()[0]
-
     def victims(self) -> Sequence[Victim]:
         made = []
         for name in ("first", "second"):

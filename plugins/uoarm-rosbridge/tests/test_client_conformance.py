@@ -131,9 +131,6 @@ class ServerWorld(World):
         self._clients.append(Ros(self._url))
         return self._clients[-1]
 
-    def victim(self) -> Victim:
-        return self.victims()[0]
-
     def victims(self) -> Sequence[Victim]:
         made = []
         for name in ("first", "second"):

@@ -65,10 +65,7 @@ class VdaWorld(World):
         ]
 
     def victims(self) -> Sequence[Victim]:
-        return [self._victim(name) for name in ("a", "b")]
-
-    def victim(self) -> Victim:
-        return self._victim("a")
+        return [Victim(endpoint(name, "state"), self._vehicle(name).die) for name in ("a", "b")]
 
     def broken(self) -> bool:
         self.broker.kill()
@@ -116,9 +113,6 @@ class VdaWorld(World):
             driver.vehicle.close()
         for peer in self.peers:
             peer.close()
-
-    def _victim(self, name: str) -> Victim:
-        return Victim(endpoint(name, "state"), self._vehicle(name).die)
 
     def _vehicle(self, serial: str) -> Peer:
         gone = {**HEADER, "headerId": 0, "serialNumber": serial}

@@ -298,8 +298,11 @@ class World(ABC):
         return ()
 
     def victim(self) -> Victim | None:
-        """Return a component that can be killed; None where nothing ever dies alone."""
-        return None
+        """Return a component that can be killed; None where nothing ever dies alone.
+
+        The first of `victims`, unless overridden.
+        """
+        return next(iter(self.victims()), None)
 
     def victims(self) -> Sequence[Victim]:
         """Return several components that can be killed, each alone; none where there are not."""

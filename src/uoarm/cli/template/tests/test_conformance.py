@@ -63,9 +63,6 @@ class ExampleWorld(World):
             return ["", "Kia ora \u2192 \U0001f916\r\n\t\0", "{" * 1000]
         return [{"celsius": value} for value in (-0.0, 5e-324, 1.7976931348623157e308)]
 
-    def victim(self) -> Victim:
-        return self.victims()[0]
-
     def victims(self) -> Sequence[Victim]:
         made = []
         for topic in ("first", "second"):
