@@ -12,11 +12,17 @@ from uoarm.testing import patience, wait
 
 
 class Inbox:
-    """Collects messages or events, and waits for a number of them, or for one."""
+    """Collects messages or events, and waits for a number of them, or for one.
 
-    def __init__(self) -> None:
+    Args:
+        bridge: whose events it collects, if any.
+    """
+
+    def __init__(self, bridge: Bridge | None = None) -> None:
         self.messages: list[Any] = []
         self._changed = threading.Condition()
+        if bridge is not None:
+            bridge.watch(self)
 
     def __call__(self, message: Any) -> None:
         with self._changed:
@@ -45,7 +51,7 @@ class Inbox:
             assert self._changed.wait_for(lambda: found() is not None, patience()), self.messages
             return found()
 
-    def event(self, health: Health, words: str) -> HealthEvent:
+    def event(self, health: Health, words: str = "") -> HealthEvent:
         """Wait for a health event with these words in its cause."""
         event: HealthEvent = self.wait_until(
             lambda item: item.health is health and words in item.cause

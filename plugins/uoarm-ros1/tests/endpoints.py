@@ -8,30 +8,12 @@ from typing import Any
 
 from peers import Master
 
-from uoarm.bridge import Bridge, HealthEvent, Registry
-from uoarm.model import BridgeSpec, Endpoint, Health, Role
-from uoarm.testing import patience, wait
+from uoarm.bridge import Bridge, Registry
+from uoarm.model import BridgeSpec, Endpoint, Role
+from uoarm.testing import patience
 
 CHECK_SECONDS = 0.1
 WAIT_SECONDS = min(patience(), 60)
-
-
-class Reports:
-    """What a bridge reported."""
-
-    def __init__(self, bridge: Bridge) -> None:
-        self.events: list[HealthEvent] = []
-        bridge.watch(self.events.append)
-
-    def wait(self, health: Health, text: str = "") -> HealthEvent:
-        """Wait for a report and return it."""
-
-        def found() -> list[HealthEvent]:
-            events = tuple(self.events)
-            return [event for event in events if event.health is health and text in event.cause]
-
-        wait(lambda: bool(found()), f"no {health} with {text!r}: {self.events}")
-        return found()[0]
 
 
 @contextmanager

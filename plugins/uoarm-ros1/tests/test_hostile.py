@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import Reports, bridge_to, input_, output, service
+from endpoints import bridge_to, input_, output, service
 from peers import Master, Peer, running
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros1 import _server, _services
 from uoarm_ros1._master import call_api
 from uoarm_ros1._node import Node
@@ -487,7 +488,7 @@ def test_more_publishers_than_there_is_room_for_are_left_out(master: Master) -> 
 
 def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path) -> None:
     with running(tmp_path / "master") as world, bridge_to(world) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         collector = Collector()
         pair = ("/pair", INT)
         bridge.open_source(output(*pair, peer="optional"), ANY, collector.deliver)
@@ -497,11 +498,11 @@ def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path)
         )
         reports_ok(bridge, reports)
         world.kill()
-        reports.wait(Health.DEGRADED, world.host)
+        reports.event(Health.DEGRADED, world.host)
         sink.send({"data": 1})  # what is connected needs no master
         assert collector.wait(1) == [{"data": 1}]
         world.start()
-        reports.wait(Health.OK, "answers again")
+        reports.event(Health.OK, "answers again")
         peer = world.peer("after")
         peer.do("subscribe", topic="/pair", type=INT)
         peer.do("advertise", topic="/pair", type=INT)
@@ -515,29 +516,29 @@ def test_a_master_that_is_started_again_is_registered_with_again(tmp_path: Path)
         assert called["success"]
 
 
-def reports_ok(bridge: Bridge, reports: Reports) -> None:
+def reports_ok(bridge: Bridge, reports: Inbox) -> None:
     """The master has answered once, so that its death is one."""
     known: Any = bridge
     wait(lambda: known._master_health.is_up, "the master was not asked")
-    assert not [event for event in reports.events if event.health is Health.LOST]
+    assert not [event for event in reports.messages if event.health is Health.LOST]
 
 
 @pytest.mark.usefixtures("short")
 def test_a_master_that_stalls_holds_up_no_message_and_no_close(tmp_path: Path) -> None:
     with running(tmp_path / "master") as world:
         with bridge_to(world) as bridge:
-            reports = Reports(bridge)
+            reports = Inbox(bridge)
             collector = Collector()
             at = ("/pair", INT)
             bridge.open_source(output(*at, peer="optional"), ANY, collector.deliver)
             sink = bridge.open_sink(input_(*at, peer="optional"), ANY)
             reports_ok(bridge, reports)
             world.send_signal(signal.SIGSTOP)
-            reports.wait(Health.DEGRADED, "no answer in time")
+            reports.event(Health.DEGRADED, "no answer in time")
             sink.send({"data": 1})
             assert collector.wait(1) == [{"data": 1}]
             world.send_signal(signal.SIGCONT)
-            reports.wait(Health.OK, "answers again")
+            reports.event(Health.OK, "answers again")
             world.send_signal(signal.SIGSTOP)
             with pytest.raises(BridgeError, match="no answer in time"):
                 bridge.describe(output("/t"))

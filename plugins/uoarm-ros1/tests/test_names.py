@@ -7,8 +7,9 @@ from functools import partial
 from typing import Any, cast
 
 import pytest
-from endpoints import Reports, bridge_to, input_, output, service
+from endpoints import bridge_to, input_, output, service
 from peers import Master, Peer, RestartingMaster, running
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros1._master import call_api
 from uoarm_ros1._node import Rosout
 from uoarm_ros1._options import NodeIdentity, Ros1BridgeOptions
@@ -144,15 +145,15 @@ def test_a_parameter_is_watched_over_the_death_of_its_master(tmp_path: Any) -> N
         peer = world.peer("setting")
         peer.do("set_param", name="/speed", value=1)
         with bridge_to(world) as bridge:
-            reports, collector = Reports(bridge), Collector()
+            reports, collector = Inbox(bridge), Collector()
             bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
             assert collector.wait(1) == [1]
             known: Any = bridge
             wait(lambda: known._master_health.is_up, "the master was not asked")
             world.kill()
-            reports.wait(Health.DEGRADED, world.host)
+            reports.event(Health.DEGRADED, world.host)
             world.start()
-            reports.wait(Health.OK, "answers again")
+            reports.event(Health.OK, "answers again")
             peer.do("set_param", name="/speed", value=2)
             assert collector.wait(2) == [1, 2]
 
@@ -217,11 +218,11 @@ def test_a_parameter_that_is_not_set_any_more_is_degraded_until_it_is(tmp_path: 
             for number, go in enumerate(
                 (lambda: peer.do("delete_param", name="/speed"), start_again), 2
             ):
-                reports = Reports(bridge)
+                reports = Inbox(bridge)
                 go()
-                reports.wait(Health.DEGRADED, "the parameter /speed is not set any more")
+                reports.event(Health.DEGRADED, "the parameter /speed is not set any more")
                 peer.do("set_param", name="/speed", value=1)
-                reports.wait(Health.OK, "the parameter /speed is set again")
+                reports.event(Health.OK, "the parameter /speed is set again")
                 assert collector.wait(number) == [1] * number
 
 
@@ -236,16 +237,16 @@ def test_a_change_of_a_parameter_that_is_more_than_a_call_may_hold_is_looked_at(
         for name, collector in collectors.items():
             bridge.open_source(output(name, "parameter"), ANY, collector.deliver)
             collector.wait(1)
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         lasting.do("set_param", name="/table", value=[0] * 50_000)
         assert len(collectors["/table"].wait(2)[1]) == 50_000
         deep: list[object] = []
         for _ in range(100):
             deep = [deep]
         lasting.do("set_param", name="/table", value=deep)
-        reports.wait(Health.DEGRADED, "the parameter /table cannot be read: getParam: ")
+        reports.event(Health.DEGRADED, "the parameter /table cannot be read: getParam: ")
         lasting.do("set_param", name="/table", value=[2])
-        reports.wait(Health.OK, "the parameter /table is set again")
+        reports.event(Health.OK, "the parameter /table is set again")
         assert len(collectors["/table"].wait(3)[2]) == 1
         assert len(collectors["/speed"].messages) == 1
 
@@ -268,7 +269,7 @@ def test_a_change_of_a_parameter_in_one_that_is_watched_too_comes_once(
 def test_a_look_that_fails_ends_no_other(master: Master, lasting: Peer) -> None:
     lasting.do("advertise", topic="/looked_at", type=INT)
     with bridge_to(master) as bridge:
-        reports, failed = Reports(bridge), threading.Event()
+        reports, failed = Inbox(bridge), threading.Event()
 
         def fail(_: object) -> None:
             failed.set()
@@ -285,8 +286,8 @@ def test_a_look_that_fails_ends_no_other(master: Master, lasting: Peer) -> None:
             wait(partial(is_lost, reports, source), "its silence is not seen")
 
 
-def is_lost(reports: Reports, channel: Channel) -> bool:
-    events = tuple(reports.events)
+def is_lost(reports: Inbox, channel: Channel) -> bool:
+    events = tuple(reports.messages)
     return any(event.channel is channel and event.health is Health.LOST for event in events)
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import Reports, bridge_to, input_, output, service
+from endpoints import bridge_to, input_, output, service
 from peers import HERE, Master, Peer, compiler
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_program  # type: ignore[import-not-found]
 
 from uoarm.errors import BridgeError
@@ -87,10 +88,10 @@ def test_actions_pass_both_ways(master: Master, cpp: Peer) -> None:
 def test_the_death_of_a_node_of_roscpp_is_noticed(master: Master, program: Path) -> None:
     peer = master.program(str(program), "__name:=mortal_cpp")
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         at = output("/cpp/latched", node="/mortal_cpp", wait=patience())
         bridge.open_source(at, ANY, Collector().deliver)
         peer.kill()
-        assert "/mortal_cpp" in reports.wait(Health.LOST).cause
+        assert "/mortal_cpp" in reports.event(Health.LOST).cause
         with pytest.raises(BridgeError, match="/mortal_cpp"):
             bridge.describe(at)

@@ -6,8 +6,9 @@ import threading
 from typing import Any
 
 import pytest
-from endpoints import Reports, bridge_to, input_, output, service
+from endpoints import bridge_to, input_, output, service
 from peers import Master, Peer
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros1 import _bridge, _master, _node, _subscription
 from uoarm_ros1._master import call_api
 
@@ -46,7 +47,7 @@ def test_a_service_of_another_definition_is_refused_with_both_sums(
 
 def test_a_service_without_a_server_is_named_and_its_coming_is_said(master: Master) -> None:
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         with pytest.raises(BridgeError, match="no node serves /nowhere") as caught:
             bridge.describe(service("/nowhere"))
         assert caught.value.reason is FailureReason.NOT_FOUND
@@ -59,7 +60,7 @@ def test_a_service_without_a_server_is_named_and_its_coming_is_said(master: Mast
             "it was not looked for",
         )
         peer.do("serve", service="/nowhere", type=SET)
-        assert reports.wait(Health.OK, "/nowhere").component == "nowhere"
+        assert reports.event(Health.OK, "/nowhere").component == "nowhere"
         assert bridge.describe(service("/nowhere")).request is not None
         peer.kill()
 
@@ -365,12 +366,12 @@ def test_a_service_that_another_node_registers_later_is_degraded_until_that_ends
     peer = master.peer("later")
     with bridge_to(master) as bridge:
         bridge.serve(service("/both", SET), lambda _: OURS)
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         peer.do("serve", service="/both", type=SET)
-        event = reports.wait(Health.DEGRADED, "clients of /both are sent to node /later")
+        event = reports.event(Health.DEGRADED, "clients of /both are sent to node /later")
         assert event.channel is not None
         peer.do("serve_no_more", service="/both")
-        reports.wait(Health.OK, "clients of /both are sent here again")
+        reports.event(Health.OK, "clients of /both are sent here again")
         assert bridge.call(service("/both"), {"data": True}) == OURS
     peer.kill()
 
@@ -379,9 +380,9 @@ def test_a_service_is_taken_back_from_a_node_that_was_killed(master: Master) -> 
     peer = master.peer("brief")
     with bridge_to(master) as bridge:
         bridge.serve(service("/kept", SET), lambda _: OURS)
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         peer.do("serve", service="/kept", type=SET)
-        reports.wait(Health.DEGRADED, "are sent to node /brief")
+        reports.event(Health.DEGRADED, "are sent to node /brief")
         peer.kill()
-        reports.wait(Health.OK, "clients of /kept are sent here again")
+        reports.event(Health.OK, "clients of /kept are sent here again")
         assert bridge.call(service("/kept"), {"data": True}) == OURS

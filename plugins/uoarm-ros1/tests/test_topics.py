@@ -13,9 +13,10 @@ from typing import Any
 from xmlrpc.client import ServerProxy
 
 import pytest
-from endpoints import Reports, bridge_to, input_, output, service
+from endpoints import bridge_to, input_, output, service
 from peers import Master, Peer
 from ros1_world import large_image, zero
+from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros1 import _subscription
 from uoarm_ros1._node import Node
 
@@ -101,10 +102,10 @@ def test_a_message_beyond_the_budget_ends_the_connection_and_is_said(
 ) -> None:
     lasting.do("advertise", topic="/beyond", type="std_msgs/String")
     with bridge_to(master, max_octets=1000) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         opened(bridge, output("/beyond"))
         lasting.publish("/beyond", type="std_msgs/String", values={"data": "x" * 2000})
-        assert "1,000 are allowed (max_octets)" in reports.wait(Health.LOST).cause
+        assert "1,000 are allowed (max_octets)" in reports.event(Health.LOST).cause
 
 
 def test_a_latched_message_comes_first_from_every_publisher(master: Master) -> None:
@@ -183,7 +184,7 @@ def test_one_node_of_several_can_be_meant(master: Master) -> None:
     for peer in peers:
         peer.do("advertise", topic="/cameras", type=INT)
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         _, collector = opened(bridge, output("/cameras", node="/camera1"))
         peers[0].do("publish", topic="/cameras", type=INT, values={"data": 0})
         peers[1].publish("/cameras", type=INT, values={"data": 1})
@@ -191,9 +192,9 @@ def test_one_node_of_several_can_be_meant(master: Master) -> None:
         peers[0].kill()
         peers[1].do("publish", topic="/cameras", type=INT, values={"data": 2})
         assert collector.wait(2) == [{"data": 1}, {"data": 2}]
-        assert not [event for event in reports.events if event.health is Health.LOST]
+        assert not [event for event in reports.messages if event.health is Health.LOST]
         peers[1].kill()
-        assert "/camera1" in reports.wait(Health.LOST).cause
+        assert "/camera1" in reports.event(Health.LOST).cause
         with pytest.raises(BridgeError, match="node /absent does not publish"):
             bridge.describe(output("/cameras", node="/absent"))
 
@@ -203,10 +204,10 @@ def test_a_node_that_is_killed_is_lost_at_once_and_found_on_another_port(master:
     first.do("advertise", topic="/mortal", type=INT)
     at = output("/mortal", component="mortal component")
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         source, _ = opened(bridge, at)
         first.kill()
-        lost = reports.wait(Health.LOST, "/mortal")
+        lost = reports.event(Health.LOST, "/mortal")
         assert lost.channel is source
         source.close()
         with pytest.raises(BridgeError) as caught:  # it stays registered at the master
@@ -215,7 +216,7 @@ def test_a_node_that_is_killed_is_lost_at_once_and_found_on_another_port(master:
         assert master.host in str(caught.value)
         second = master.peer("mortal")
         second.do("advertise", topic="/mortal", type=INT)
-        assert reports.wait(Health.OK, "/mortal").component == "mortal component"
+        assert reports.event(Health.OK, "/mortal").component == "mortal component"
         _, collector = opened(bridge, at)
         second.publish("/mortal", type=INT, values={"data": 3})
         assert collector.wait(1) == [{"data": 3}]
@@ -242,17 +243,17 @@ def test_a_killed_node_beside_one_that_lives_is_said_once(
     for peer in (dying, lasting):
         peer.do("advertise", topic="/half", type=INT)
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         _, collector = opened(bridge, output("/half"))
         dying.kill()
-        reports.wait(Health.DEGRADED)
+        reports.event(Health.DEGRADED)
         tries = Counted(_subscription._subscribe)
         monkeypatch.setattr(_subscription, "_subscribe", tries)
         for number in range(3):
             wait(partial(tries.is_beyond, number), "it is not tried again")
             lasting.publish("/half", type=INT, values={"data": number})
             collector.wait(number + 1)
-        assert [event.health for event in reports.events] == [Health.DEGRADED, Health.OK]
+        assert [event.health for event in reports.messages] == [Health.DEGRADED, Health.OK]
 
 
 class Counted:
@@ -274,34 +275,34 @@ def test_a_node_that_hangs_is_asked_and_lost(master: Master) -> None:
     peer = master.peer("hanging")
     peer.do("advertise", topic="/hanging", type=INT)
     with bridge_to(master, silence=0.2) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         opened(bridge, output("/hanging"))
         peer.send_signal(signal.SIGSTOP)
-        assert "no answer in time" in reports.wait(Health.LOST).cause
+        assert "no answer in time" in reports.event(Health.LOST).cause
         peer.send_signal(signal.SIGCONT)
-        reports.wait(Health.OK, "/hanging")
+        reports.event(Health.OK, "/hanging")
     peer.kill()
 
 
 def test_a_silent_publisher_that_answers_is_well(master: Master, lasting: Peer) -> None:
     lasting.do("advertise", topic="/quiet", type=INT)
     with bridge_to(master, silence=0.05) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         source, collector = opened(bridge, output("/quiet"))
         asked = threading.Event()
         asked.wait(0.5)  # several times as long as until it is asked
         lasting.publish("/quiet", type=INT, values={"data": 1})
         collector.wait(1)
         assert source.facts()["interruptions"] == 0
-        assert not reports.events
+        assert not reports.messages
 
 
 def test_a_topic_without_messages_is_lost_by_its_rate(master: Master, lasting: Peer) -> None:
     lasting.do("advertise", topic="/stale", type=INT)
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         opened(bridge, output("/stale", stale_after=0.2))
-        assert "no message for 0.2 s" in reports.wait(Health.LOST).cause
+        assert "no message for 0.2 s" in reports.event(Health.LOST).cause
 
 
 def test_simulated_time_stands_still_until_it_is_said(master: Master) -> None:
@@ -317,7 +318,7 @@ def test_simulated_time_stands_still_until_it_is_said(master: Master) -> None:
         return bool(clock._clock.stamp()["secs"] == seconds)
 
     with bridge_to(master, use_sim_time=True) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         clock: Any = bridge
         source: Any = opened(bridge, output("/simulated", stale_after=10))[0]
         for seconds, counted in ((1_000, 0), (1_009, 9), (5, 9)):  # at last another run
@@ -325,9 +326,9 @@ def test_simulated_time_stands_still_until_it_is_said(master: Master) -> None:
             wait(partial(has_said, seconds), "the clock is not taken")
             assert clock._clock.now() == counted
             source.tick(None)
-            assert not reports.events
+            assert not reports.messages
         say(7)
-        assert "no message for 10 s" in reports.wait(Health.LOST).cause
+        assert "no message for 10 s" in reports.event(Health.LOST).cause
     peer.kill()
 
 
@@ -336,11 +337,11 @@ def test_another_definition_of_a_type_is_refused_with_both_sums(
 ) -> None:
     lasting.do("subscribe", topic="/other", type="std_msgs/String")
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         at = input_("/other", "std_msgs/String", definition="int32 data", wait=slowness())
         with pytest.raises(BridgeError, match="build both of one definition"):
             bridge.open_sink(at, ANY)
-        refused = reports.wait(Health.DEGRADED, "/lasting wants topic /other")
+        refused = reports.event(Health.DEGRADED, "/lasting wants topic /other")
         assert "992ce8a1687cec8c8bd883ec73ca41d1" in refused.cause
         assert "da5909fbe378aeaf85e547e830cc1bb7" in refused.cause
     lasting.do("advertise", topic="/another", type="std_msgs/String")
@@ -350,7 +351,7 @@ def test_another_definition_of_a_type_is_refused_with_both_sums(
 
 def test_a_subscriber_that_takes_no_tcpros_is_named(master: Master) -> None:
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         at = input_("/hurried", "std_msgs/String", peer="optional", wait=0)
         bridge.open_sink(at, ANY)
         known: Any
@@ -361,7 +362,7 @@ def test_a_subscriber_that_takes_no_tcpros_is_named(master: Master) -> None:
         with ServerProxy(address) as node:
             asked = [["UDPROS", "", "here", 1, 1500]]
             assert node.requestTopic("/rviz", "/hurried", asked)[0] == 0
-        reports.wait(Health.DEGRADED, "/rviz wants /hurried over UDPROS alone")
+        reports.event(Health.DEGRADED, "/rviz wants /hurried over UDPROS alone")
 
 
 def test_a_type_that_is_not_published_is_refused_with_what_to_do(master: Master) -> None:
@@ -440,11 +441,11 @@ def test_what_is_wrong_is_said_on_rosout(master: Master, lasting: Peer) -> None:
 
 def test_a_node_of_the_same_name_ends_the_bridge(master: Master) -> None:
     with bridge_to(master, node="twin") as first:
-        reports = Reports(first)
+        reports = Inbox(first)
         first.open_sink(input_("/twin", INT, peer="optional"), ANY)
         with bridge_to(master, node="twin") as second:
             second.open_sink(input_("/twin", INT, peer="optional"), ANY)
-            lost = reports.wait(Health.LOST, "ends node /twin")
+            lost = reports.event(Health.LOST, "ends node /twin")
             assert lost.channel is None
 
 
@@ -546,9 +547,9 @@ def test_a_link_moves_octets_without_reading_them(master: Master, lasting: Peer)
         wait(lambda: link.facts()["moved"] == 3)  # counted after they were written
         lasting.do("advertise", topic="/link/other", type=INT)
         assert bridge.link(output("/link/other"), input_("/link/to")) is None
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         peer.kill()
-        assert reports.wait(Health.LOST).channel is link
+        assert reports.event(Health.LOST).channel is link
 
 
 def test_a_link_is_lost_by_its_rate_and_not_while_messages_come(
@@ -558,7 +559,7 @@ def test_a_link_is_lost_by_its_rate_and_not_while_messages_come(
     lasting.do("subscribe", topic="/rate/to", type=INT)
     stale_after = 0.5 * slowness()
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         link = bridge.link(
             output("/rate/from", wait=patience(), stale_after=stale_after),
             input_("/rate/to", wait=patience()),
@@ -567,8 +568,8 @@ def test_a_link_is_lost_by_its_rate_and_not_while_messages_come(
         for count in range(30):
             lasting.publish("/rate/from", type=INT, values={"data": count})
             time.sleep(stale_after / 10)
-        assert not reports.events
-        assert "no message for" in reports.wait(Health.LOST).cause
+        assert not reports.messages
+        assert "no message for" in reports.event(Health.LOST).cause
 
 
 def test_two_nodes_on_one_topic_are_connected_already(master: Master, lasting: Peer) -> None:
@@ -576,13 +577,13 @@ def test_two_nodes_on_one_topic_are_connected_already(master: Master, lasting: P
     peer.do("advertise", topic="/one", type=INT)
     lasting.do("subscribe", topic="/one", type=INT)
     with bridge_to(master) as bridge:
-        reports = Reports(bridge)
+        reports = Inbox(bridge)
         link = bridge.link(output("/one"), input_("/one"))
         assert link is not None
         peer.publish("/one", type=INT, values={"data": 1})
         lasting.wait_for("count", lambda count: count == 1, topic="/one")
         peer.kill()
-        assert reports.wait(Health.LOST).channel is link
+        assert reports.event(Health.LOST).channel is link
 
 
 def test_what_is_there_with_another_type_or_as_another_kind_is_named(

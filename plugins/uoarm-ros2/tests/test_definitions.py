@@ -45,8 +45,7 @@ def test_a_subscription_with_another_definition_is_refused(bridge: Bridge, peer:
 
 
 def test_one_that_comes_later_is_an_event_and_so_is_its_end(bridge: Bridge, peer: Start) -> None:
-    events, inbox = Inbox(), Inbox()
-    bridge.watch(events)
+    events, inbox = Inbox(bridge), Inbox()
     talker = peer("talker")
     talker.do("advertise", topic="/mixed")
     source(bridge, endpoint(Role.OUTPUT, "/mixed", INT64), inbox)
@@ -63,8 +62,7 @@ def test_one_that_comes_later_is_an_event_and_so_is_its_end(bridge: Bridge, peer
 
 
 def test_a_channel_left_with_strangers_alone_is_lost(bridge: Bridge, peer: Start) -> None:
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     talker, stranger = peer("talker", **MORTAL), peer("stranger")
     talker.do("advertise", topic="/replaced")
     source(bridge, endpoint(Role.OUTPUT, "/replaced", INT64), print)
@@ -104,8 +102,7 @@ def test_an_action_with_another_definition_is_sent_no_goals(bridge: Bridge, peer
 def test_another_service_under_the_name_is_an_event_and_so_is_its_end(
     bridge: Bridge, peer: Start
 ) -> None:
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     server, stranger = peer("server"), peer("stranger")
     server.do("serve", name="/mixed")
     call(bridge, "/mixed")

@@ -95,8 +95,7 @@ functions:
 
 
 def test_the_states_of_a_node_are_the_health_of_its_component(bridge: Bridge, camera: Peer) -> None:
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     opened(bridge, numbers(afterwards="cleanup"), Inbox())
     camera.do("trigger", transition="deactivate")
     event = events.event(Health.DEGRADED, "lifecycle node /camera is inactive (not asked for here)")

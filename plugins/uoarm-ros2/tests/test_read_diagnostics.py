@@ -154,9 +154,7 @@ def bridge(make_bridge: Callable[..., Bridge]) -> Bridge:
 
 @pytest.fixture
 def events(bridge: Bridge) -> Inbox:
-    inbox = Inbox()
-    bridge.watch(inbox)
-    return inbox
+    return Inbox(bridge)
 
 
 def losses(events: Inbox) -> list[HealthEvent]:

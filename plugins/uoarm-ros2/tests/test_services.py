@@ -142,8 +142,7 @@ def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
             raise ValueError("off is not possible")
         return {"success": True, "message": "on"}
 
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     channel = bridge.serve(service("/switch", SET_BOOL), handler)
     answer = client.do("call", name="/switch", value=True)
     assert answer == {"success": True, "message": "on"}
@@ -195,8 +194,7 @@ def test_another_server_of_what_we_serve_is_reported_while_it_is_there(
     bridge: Bridge, peer: Start, monkeypatch: pytest.MonkeyPatch, is_action: bool
 ) -> None:
     monkeypatch.setattr(_services, "_LEASE_SECONDS", 0.0)
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     name = "/moved" if is_action else "/increment"
     channel = bridge.serve(
         service(name, FIBONACCI if is_action else BASIC), lambda message: message
@@ -491,8 +489,7 @@ def test_goals_whose_input_closes_are_cancelled_and_those_of_another_go_on(
 
 
 def test_goals_of_a_killed_server_are_lost(bridge: Bridge, peer: Start) -> None:
-    events, statuses = Inbox(), Inbox()
-    bridge.watch(events)
+    events, statuses = Inbox(bridge), Inbox()
     server = peer("server", "threads", **MORTAL)
     server.do("act", name="/fibonacci")
     channel = source(bridge, endpoint(Role.OUTPUT, "/fibonacci", FIBONACCI, "status"), statuses)
@@ -665,8 +662,7 @@ def test_the_graph_is_discovered_without_predefining(bridge: Bridge, peer: Start
 
 
 def test_nodes_that_come_and_go_are_events(bridge: Bridge, peer: Start) -> None:
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     visitor = peer("visitor", **MORTAL)
     assert events.event(Health.OK, "node /visitor appeared").component == "/visitor"
     visitor.kill()

@@ -209,8 +209,7 @@ def test_what_is_open_still_sends_after_its_context_ended_until_it_is_closed(
     bridge: Any = make_bridge()
     listener = peer("listener")
     listener.do("subscribe", topic="/late")
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     out = sink(bridge, endpoint(Role.INPUT, "/late", INT64))
     bridge._participant._context.try_shutdown()
     events.event(Health.LOST, "the ROS 2 context was shut down from outside")
@@ -248,8 +247,7 @@ def test_what_cannot_be_read_is_said_and_the_next_message_arrives(
 def test_a_silence_names_what_came_and_could_not_be_read(bridge: Bridge, peer: Start) -> None:
     talker, got = peer("talker"), Collector()
     talker.do("advertise", topic="/torn")
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     at = endpoint(Role.OUTPUT, "/torn", INT64, stale_after=patience())
     opened: Any = source(bridge, at, got)
     opened._receive(b"\x00\x01\x00\x00\x07")
@@ -295,8 +293,7 @@ def test_auto_takes_what_is_offered_and_offers_what_is_asked(bridge: Bridge, pee
 def test_a_deadline_that_a_reader_asks_for_makes_no_writer_lost(
     bridge: Bridge, peer: Start
 ) -> None:
-    other, events = peer("other"), Inbox()
-    bridge.watch(events)
+    other, events = peer("other"), Inbox(bridge)
     other.do("subscribe", topic="/seldom", deadline=0.2)
     out = sink(bridge, endpoint(Role.INPUT, "/seldom", INT64))
     out.send({"data": 1})
@@ -327,8 +324,7 @@ def test_auto_adapts_to_what_is_left_when_the_better_publisher_goes(
     make_bridge: Make, peer: Start
 ) -> None:
     bridge = make_bridge()
-    events, inbox = Inbox(), Inbox()
-    bridge.watch(events)
+    events, inbox = Inbox(bridge), Inbox()
     good, bad = peer("good"), peer("bad")
     good.do("advertise", topic="/leaving")
     channel = source(bridge, endpoint(Role.OUTPUT, "/leaving", INT64), inbox)
@@ -380,8 +376,7 @@ def test_a_clash_that_is_known_is_not_waited_for(bridge: Bridge, peer: Start, ro
 def test_a_publisher_that_no_longer_says_that_it_is_alive_is_lost(
     bridge: Bridge, peer: Start
 ) -> None:
-    events, inbox = Inbox(), Inbox()
-    bridge.watch(events)
+    events, inbox = Inbox(bridge), Inbox()
     talker = peer("talker")
     talker.do("advertise", topic="/alive", lease=0.5)
     channel = source(bridge, endpoint(Role.OUTPUT, "/alive", INT64), inbox)
@@ -394,8 +389,7 @@ def test_a_publisher_that_no_longer_says_that_it_is_alive_is_lost(
 
 def test_a_clash_that_comes_later_is_an_event(make_bridge: Make, peer: Start) -> None:
     bridge = make_bridge()
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     good, bad = peer("good"), peer("bad")
     good.do("advertise", topic="/mixed")
     channel = source(bridge, endpoint(Role.OUTPUT, "/mixed", INT64), print)
@@ -423,8 +417,7 @@ def test_a_peer_is_counted_once_although_its_node_is_named_later(
 
     monkeypatch.setattr(NodeRunner, "publishers", named_late)
     bridge = make_bridge()
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     good, bad = peer("good"), peer("bad")
     good.do("advertise", topic="/named")
     channel = source(bridge, endpoint(Role.OUTPUT, "/named", INT64), print)
@@ -436,8 +429,7 @@ def test_a_peer_is_counted_once_although_its_node_is_named_later(
 
 
 def test_a_subscription_that_asks_for_more_is_an_event(bridge: Bridge, peer: Start) -> None:
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     listener = peer("listener")
     listener.do("subscribe", topic="/out")
     sink(bridge, endpoint(Role.INPUT, "/out", INT64, qos={"durability": "volatile"}))
@@ -449,8 +441,7 @@ def test_a_killed_publisher_is_lost_and_its_successor_resumes(
     make_bridge: Make, peer: Start
 ) -> None:
     bridge = make_bridge()
-    events, inbox = Inbox(), Inbox()
-    bridge.watch(events)
+    events, inbox = Inbox(bridge), Inbox()
     talker = peer("talker", **MORTAL)
     talker.do("advertise", topic="/mortal", history="keep_all")
     whole = {"history": "keep_all"}
@@ -473,8 +464,7 @@ def test_a_killed_publisher_is_lost_and_its_successor_resumes(
 
 
 def test_a_frozen_publisher_goes_stale_and_recovers(bridge: Bridge, peer: Start) -> None:
-    events, inbox = Inbox(), Inbox()
-    bridge.watch(events)
+    events, inbox = Inbox(bridge), Inbox()
     talker = peer("talker")
     talker.do("advertise", topic="/sluggish")
     source(bridge, endpoint(Role.OUTPUT, "/sluggish", INT64, stale_after=0.4), inbox)
@@ -507,8 +497,7 @@ def test_in_simulated_time_a_topic_grows_stale_by_the_clock(make_bridge: Make) -
 
 
 def test_a_missed_deadline_is_an_event(bridge: Bridge, peer: Start) -> None:
-    events, inbox = Inbox(), Inbox()
-    bridge.watch(events)
+    events, inbox = Inbox(bridge), Inbox()
     talker = peer("talker")
     talker.do("advertise", topic="/timely", deadline=0.1)
     source(bridge, endpoint(Role.OUTPUT, "/timely", INT64, qos={"deadline": 0.1}), inbox)
@@ -519,8 +508,7 @@ def test_a_missed_deadline_is_an_event(bridge: Bridge, peer: Start) -> None:
 def test_messages_that_the_middleware_lost_are_counted_and_reported(
     bridge: Bridge, peer: Start
 ) -> None:
-    events, inbox = Inbox(), Inbox()
-    bridge.watch(events)
+    events, inbox = Inbox(bridge), Inbox()
     camera = peer("camera")
     qos = {"reliability": "best_effort", "depth": 1}
     camera.do("advertise", topic="/flood", kind="Image", **qos)
@@ -537,8 +525,7 @@ def test_messages_that_the_middleware_lost_are_counted_and_reported(
 
 
 def test_two_types_on_one_topic_are_reported(bridge: Bridge, peer: Start) -> None:
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     first, second = peer("first"), peer("second")
     first.do("advertise", topic="/both")
     second.do("advertise", topic="/both", kind="String")
@@ -550,8 +537,7 @@ def test_two_types_on_one_topic_are_reported(bridge: Bridge, peer: Start) -> Non
 
 
 def test_a_type_that_joins_later_is_an_event(bridge: Bridge, peer: Start) -> None:
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     first, second = peer("first"), peer("second", **MORTAL)
     first.do("advertise", topic="/joined")
     channel = source(bridge, endpoint(Role.OUTPUT, "/joined", INT64), print)
@@ -566,8 +552,7 @@ def test_a_type_that_joins_later_is_an_event(bridge: Bridge, peer: Start) -> Non
 def test_latched_messages_beside_a_volatile_publisher_are_reported_and_reachable(
     bridge: Bridge, peer: Start
 ) -> None:
-    events, inbox = Inbox(), Inbox()
-    bridge.watch(events)
+    events, inbox = Inbox(bridge), Inbox()
     latched, volatile = peer("latched"), peer("volatile")
     latched.do("advertise", topic="/static", durability="transient_local")
     latched.do("publish", topic="/static", count=1)
@@ -596,8 +581,7 @@ def test_a_killed_publisher_that_promised_its_rate_is_lost_before_the_middleware
     bridge: Bridge, peer: Start
 ) -> None:
     """Nothing shortens the time for which Fast DDS believes in it, and no option is stated."""
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     talker = peer("talker")
     talker.do("advertise", topic="/promised", deadline=0.3)
     channel = source(bridge, endpoint(Role.OUTPUT, "/promised", INT64), print)
@@ -803,8 +787,7 @@ def test_a_link_of_one_topic_is_only_watched(bridge: Bridge, peer: Start) -> Non
     talker, listener = peer("talker", **MORTAL), peer("listener")
     talker.do("advertise", topic="/shared")
     listener.do("subscribe", topic="/shared")
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     ends = endpoint(Role.OUTPUT, "/shared", INT64), endpoint(Role.INPUT, "/shared", INT64)
     link = bridge.link(*ends)
     assert link is not None

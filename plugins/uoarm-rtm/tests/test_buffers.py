@@ -325,8 +325,7 @@ def test_a_death_behind_our_buffer_is_reported_and_ends_the_sending(
     bridge: Bridge, peer: Start
 ) -> None:
     component = peer("Listener")
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     into = sink(bridge, endpoint(*IN, activate=True, subscription="new"))
     component.kill()
 

@@ -226,8 +226,7 @@ def test_names_outside_ascii_are_readable(
 
 def test_coming_leaving_and_dying_are_events(make_bridge: Make, peer: Start, names: str) -> None:
     bridge = make_bridge(nameserver=names)
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     checked(bridge)
     first = peer("First", at=names)
     assert events.event(Health.OK, "component First.rtc appeared").component == "First.rtc"

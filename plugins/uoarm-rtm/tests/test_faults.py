@@ -45,8 +45,7 @@ IN = endpoint(Role.INPUT, "Mortal.rtc", "in")
 
 def test_a_killed_component_is_reported_to_its_channels(bridge: Bridge, peer: Start) -> None:
     component = peer("Mortal")
-    events, inbox = Inbox(), Inbox()
-    bridge.watch(events)
+    events, inbox = Inbox(bridge), Inbox()
     from_it = source(bridge, OUT, inbox)
     into_it = sink(bridge, IN)
     checked(bridge, "Mortal.rtc")
@@ -92,8 +91,7 @@ def test_a_death_in_mid_flow_harms_no_other_channel(bridge: Bridge, peer: Start)
 def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None:
     bridge = make_bridge(call_timeout=HANGS_AFTER)
     component = peer("Mortal")
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     into = sink(bridge, IN)
     checked(bridge, "Mortal.rtc")
     component.freeze()
@@ -200,8 +198,7 @@ def test_a_connection_that_is_made_after_its_undoing_is_undone_too(
 
 def test_the_other_side_ends_the_connection(bridge: Bridge, peer: Start) -> None:
     component = peer("Mortal")
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     channel = source(bridge, OUT, Inbox())
     component.cut()
     assert events.event(Health.LOST, "has ended the connection").channel is channel
@@ -243,8 +240,7 @@ def test_an_in_port_is_never_disconnected_while_it_takes_a_message(
 
 def test_silence_is_reported_when_asked(bridge: Bridge, peer: Start) -> None:
     peer("Mortal")
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     at = endpoint(Role.OUTPUT, "Mortal.rtc", "out", stale_after=0.3)
     channel = source(bridge, at, Inbox())
     assert events.event(Health.LOST, "silent: port 'out' of component").channel is channel

@@ -365,8 +365,7 @@ def test_activated_on_request_and_deactivated_on_kill(bridge: Bridge, peer: Star
 
 def test_two_components_are_linked_directly(bridge: Bridge, peer: Start) -> None:
     talker, listener = peer("Talker"), peer("Listener")
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     out = endpoint(Role.OUTPUT, "Talker.rtc", "out")
     into = endpoint(Role.INPUT, "Listener.rtc", "in", activate=True)
     channel = bridge.link(out, into)

@@ -37,8 +37,7 @@ def lost(events: Inbox) -> list[object]:
 
 
 def test_a_message_too_large_for_a_component_fails_alone(bridge: Bridge, usual: Peer) -> None:
-    events = Inbox()
-    bridge.watch(events)
+    events = Inbox(bridge)
     into = sink(bridge, endpoint(Role.INPUT, "Usual.rtc", "in"))
     into.send(stamped(bytes(100_000)))
     words = r"does not take a message of 30000\d\d octets: up to 1000\d\d passed.*ORBgiopMaxMsgSize"
@@ -69,8 +68,7 @@ def test_a_message_too_large_for_us_fails_alone(make_bridge: Make, peer: Start) 
 
 
 def test_an_answer_too_large_is_reported_and_ends_nothing(bridge: Bridge, usual: Peer) -> None:
-    events, got = Inbox(), Collector()
-    bridge.watch(events)
+    events, got = Inbox(bridge), Collector()
     at = endpoint(Role.OUTPUT, "Usual.rtc", "out", flow="pull", rate=200)
     channel: Any = source(bridge, at, got)
     usual.write_octets(3_000_000)

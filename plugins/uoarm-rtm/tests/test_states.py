@@ -32,8 +32,7 @@ def opened(bridge: Bridge, at: Endpoint) -> Channel:
 
 @pytest.mark.parametrize("role", PORTS)
 def test_a_component_that_fails_is_lost(bridge: Bridge, peer: Start, role: Role) -> None:
-    component, events = peer("Worker"), Inbox()
-    bridge.watch(events)
+    component, events = peer("Worker"), Inbox(bridge)
     component.activate()
     at = of("Worker", role, PORTS[role])
     channel = opened(bridge, at)
@@ -48,8 +47,7 @@ def test_a_component_that_fails_is_lost(bridge: Bridge, peer: Start, role: Role)
 def test_a_component_that_others_deactivate_is_degraded(
     bridge: Bridge, peer: Start, role: Role
 ) -> None:
-    component, events = peer("Worker"), Inbox()
-    bridge.watch(events)
+    component, events = peer("Worker"), Inbox(bridge)
     channel = opened(bridge, of("Worker", role, PORTS[role], activate=True))
     wait(lambda: channel.facts()["state"] == "active")
     assert not [message for message in events.messages if message.channel is channel]
