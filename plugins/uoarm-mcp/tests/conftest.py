@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
 from agents import TOKENS, Agents, access_file
 from components import CONFIGURATION, script
+from tests.profiles import load_profile  # type: ignore[import-not-found]
 from tests.server.serving import servers  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import Server
 
-_RELAXED = (HealthCheck.too_slow,)
-settings.register_profile(
-    "mcp-short", max_examples=50, deadline=None, suppress_health_check=_RELAXED, derandomize=True
-)
-settings.register_profile(
-    "mcp-long", max_examples=2000, deadline=None, suppress_health_check=_RELAXED
-)
-settings.load_profile(f"mcp-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+load_profile(50, 2000)
 
 Serve = Callable[..., Server]
 

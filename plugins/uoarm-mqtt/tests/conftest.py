@@ -7,14 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
 from brokers import Broker, running
+from tests.profiles import load_profile  # type: ignore[import-not-found]
 
-settings.register_profile("mqtt", max_examples=40, deadline=None, derandomize=True)
-settings.load_profile("mqtt")
+load_profile(40)
 
 
 @pytest.fixture(scope="session")

@@ -7,18 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
 from parts import renew
 from robots import ServedRobot
+from tests.profiles import load_profile  # type: ignore[import-not-found]
 
-settings.register_profile(
-    "remote", max_examples=40, deadline=None, derandomize=True,
-    suppress_health_check=[HealthCheck.too_slow],
-)  # fmt: skip
-settings.load_profile("remote")
+load_profile(40)
 
 
 @pytest.fixture(autouse=True)

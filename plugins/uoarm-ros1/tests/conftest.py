@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
 from peers import Master, Peer, running
+from tests.profiles import load_profile  # type: ignore[import-not-found]
 from uoarm_ros1._master import call_api
 
 from uoarm.testing import patience, slowness
 from uoarm.testing._waiting import default_limits
 
-settings.register_profile("ros1-short", max_examples=40, deadline=None, derandomize=True)
-settings.register_profile("ros1-long", max_examples=1000, deadline=None)
-settings.load_profile(f"ros1-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+load_profile(40, 1000)
 
 
 @pytest.fixture(autouse=True)

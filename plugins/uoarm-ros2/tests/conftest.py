@@ -9,19 +9,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # for the modules that the tests share
 
 from peers import DOMAIN, WAIT_SECONDS, Peer
+from tests.profiles import load_profile  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec
 
-settings.register_profile("ros2-short", max_examples=60, deadline=None, derandomize=True)
-settings.register_profile("ros2-long", max_examples=1000, deadline=None)
-settings.load_profile(f"ros2-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+load_profile(60, 1000)
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)

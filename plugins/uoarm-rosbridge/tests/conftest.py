@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
 from components import CONFIGURATION, cancelled
 from played import ANSWERS, Played
 from ros import Enter, Ros, Serve, url
+from tests.profiles import load_profile  # type: ignore[import-not-found]
 from tests.server.robot import script  # type: ignore[import-not-found]
 from tests.server.serving import servers  # type: ignore[import-not-found]
 
@@ -23,19 +22,7 @@ from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import Server
 
-# On a machine with other work everything is slow, which is no fault of what is drawn.
-_RELAXED = (HealthCheck.too_slow,)
-settings.register_profile(
-    "rosbridge-short",
-    max_examples=60,
-    deadline=None,
-    suppress_health_check=_RELAXED,
-    derandomize=True,
-)
-settings.register_profile(
-    "rosbridge-long", max_examples=2000, deadline=None, suppress_health_check=_RELAXED
-)
-settings.load_profile(f"rosbridge-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+load_profile(60, 2000)
 
 
 @pytest.fixture

@@ -8,21 +8,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
 from endpoints import ANSWERS
 from peers import Peer
+from tests.profiles import load_profile  # type: ignore[import-not-found]
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec
 from uoarm.testing import patience
 
-settings.register_profile("rtm-short", max_examples=40, deadline=None, derandomize=True)
-settings.register_profile("rtm-long", max_examples=2000, deadline=None)
-settings.load_profile(f"rtm-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+load_profile(40, 2000)
 
 
 @pytest.fixture(scope="session", autouse=True)

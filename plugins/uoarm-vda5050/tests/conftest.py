@@ -7,16 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
 # For the modules that the tests share, and for the broker of uoarm-mqtt's.
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(1, str(Path(__file__).parents[2] / "uoarm-mqtt" / "tests"))
 
 from brokers import Broker, running
+from tests.profiles import load_profile  # type: ignore[import-not-found]
 
-settings.register_profile("vda5050", max_examples=8, deadline=None, derandomize=True)
-settings.load_profile("vda5050")
+load_profile(8)
 
 
 @pytest.fixture(scope="session")
