@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -12,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
+from typing import IO, Any
 
 from typing_extensions import Self
 
@@ -105,6 +108,102 @@ class ForkedProgram:
     def __exit__(self, *_: object) -> None:
         self._parent.kill()
         self._parent.communicate()  # closes what the child reads
+
+
+class AnsweringProgram:
+    """A program that reads requests, a line of JSON each, and answers each with another line.
+
+    An answer is `{"is": ...}`, or `{"raised": ...}`; the first comes when it is ready.
+
+    Args:
+        command: of the program.
+        environment: its variables; left out: as here.
+        errors: takes what it writes as errors; left out: as here.
+    """
+
+    def __init__(
+        self,
+        *command: str,
+        environment: Mapping[str, str] | None = None,
+        errors: IO[bytes] | None = None,
+    ) -> None:
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(
+            command, stdin=pipe, stdout=pipe, stderr=errors, encoding="utf-8", env=environment
+        )
+        self._answers: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        self._listening = threading.Thread(target=self._listen, daemon=True)
+        self._listening.start()
+        try:
+            self.receive()
+        except BaseException:
+            self.kill()
+            raise
+
+    def send(self, request: object) -> None:
+        """Send a request, without waiting for its answer."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(request) + "\n")
+        self._process.stdin.flush()
+
+    def receive(self) -> Any:
+        """Wait for the answer to what was sent."""
+        answer = self._answers.get(timeout=8 * patience())  # the program has the limits itself
+        if answer is None:
+            self._answers.put(None)  # for the next that asks
+            raise AssertionError(f"it has ended with {self._process.wait(patience())}")
+        assert "raised" not in answer, answer
+        return answer["is"]
+
+    def start(self, what: str, **arguments: object) -> None:
+        """Send a request by name, without waiting for its answer."""
+        self.send({"do": what, **arguments})
+
+    def do(self, what: str, **arguments: object) -> Any:
+        """Send a request by name, and wait for its answer."""
+        self.start(what, **arguments)
+        return self.receive()
+
+    def freeze(self) -> None:
+        """Stop it; returns when all its threads stand."""
+        self._process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, self._process.pid, os.WSTOPPED)
+
+    def thaw(self) -> None:
+        self._process.send_signal(signal.SIGCONT)
+
+    def kill(self) -> None:
+        """End it without any farewell."""
+        self._process.kill()
+        self._put_away()
+
+    def end(self) -> None:
+        """End it in good order, and by force where that does not work."""
+        self.thaw()
+        self._end_requests()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(patience())
+        self.kill()
+
+    def _end_requests(self) -> None:
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
+
+    def _put_away(self) -> None:
+        self._process.wait(patience())
+        self._end_requests()
+        self._listening.join(patience())
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as lines:
+            for line in lines:
+                if line.startswith("{"):
+                    self._answers.put(json.loads(line))
+                else:  # such as the log of Fast DDS, of a port that another process has
+                    sys.stderr.write(line)
+        self._answers.put(None)
 
 
 _FORK = """

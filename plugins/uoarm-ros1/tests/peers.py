@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import shutil
@@ -11,7 +10,9 @@ import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
+
+from tests.processes import AnsweringProgram  # type: ignore[import-not-found]
 
 from uoarm.testing import wait
 
@@ -128,26 +129,20 @@ class RestartingMaster(Master):
         assert stdout.readline() == command + b"\n"
 
 
-class Peer:
-    """A node in a process of its own, which does what it is asked by lines of JSON."""
+class Peer(AnsweringProgram):  # type: ignore[misc]  # the harness is not on its path
+    """A node in a process of its own, which does what it is asked."""
 
     def __init__(self, master: Master, words: list[str], **environment: str) -> None:
-        self.master = master
-        self._log = (master.folder / "peers.log").open("ab")
-        self.process = subprocess.Popen(
-            words,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._log,
-            env={**master.environment, **environment},
-        )
-        self._answer()
+        self._log = master.folder / "peers.log"
+        variables = {**master.environment, **environment}
+        with self._log.open("ab") as errors:
+            super().__init__(*words, environment=variables, errors=errors)
 
-    def do(self, command: str, **given: Any) -> Any:
-        stream = self._stream(self.process.stdin)
-        stream.write(json.dumps({"do": command, **given}).encode() + b"\n")
-        stream.flush()
-        return self._answer()
+    def receive(self) -> Any:
+        try:
+            return super().receive()
+        except AssertionError as error:
+            raise AssertionError(self._log.read_text(errors="replace")[-4000:]) from error
 
     def publish(self, topic: str, **given: Any) -> None:
         """Publish to a subscriber that this node knows: it learns of one after that has opened."""
@@ -163,31 +158,6 @@ class Peer:
 
         wait(has_come, f"{command} {given}: what came last was {seen}")
         return seen[0]
-
-    def send_signal(self, number: int) -> None:
-        self.process.send_signal(number)
-
-    def kill(self) -> None:
-        self.process.kill()
-        self.process.wait()
-        for stream in (self.process.stdin, self.process.stdout, self._log):
-            if stream is not None and not stream.closed:
-                try:
-                    stream.close()
-                except OSError:
-                    continue
-
-    def _answer(self) -> Any:
-        line = self._stream(self.process.stdout).readline()
-        assert line, (self.master.folder / "peers.log").read_text(errors="replace")[-4000:]
-        answer = json.loads(line)
-        assert "raised" not in answer, answer
-        return answer["is"]
-
-    @staticmethod
-    def _stream(stream: IO[bytes] | None) -> IO[bytes]:
-        assert stream is not None
-        return stream
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from collections import Counter
@@ -135,7 +134,7 @@ def test_a_node_that_hangs_is_asked_once_whatever_is_lost_of_it(
     topics = [f"/lost/{number}" for number in range(TOPICS)]
     for topic in topics:
         peer.do("advertise", topic=topic, type=INT)
-    peer.send_signal(signal.SIGSTOP)
+    peer.freeze()
     with bridge_to(master, check=patience(), rosout=False) as bridge:
         assert isinstance(bridge, Ros1Bridge)
         wait(lambda: bridge._master_health.is_up, "the master does not answer")

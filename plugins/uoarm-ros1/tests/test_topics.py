@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import threading
 import time
@@ -277,9 +276,9 @@ def test_a_node_that_hangs_is_asked_and_lost(master: Master) -> None:
     with bridge_to(master, silence=0.2) as bridge:
         reports = Inbox(bridge)
         opened(bridge, output("/hanging"))
-        peer.send_signal(signal.SIGSTOP)
+        peer.freeze()
         assert "no answer in time" in reports.event(Health.LOST).cause
-        peer.send_signal(signal.SIGCONT)
+        peer.thaw()
         reports.event(Health.OK, "/hanging")
     peer.kill()
 
@@ -482,7 +481,7 @@ def test_a_subscriber_that_reads_nothing_holds_up_no_other(master: Master, lasti
     with bridge_to(master, max_octets=1 << 18) as bridge:
         sink = bridge.open_sink(input_("/much", queue=10, wait=patience()), ANY)
         wait(lambda: len(sink.facts()["subscribers"]) == 2)  # type: ignore[arg-type]  # a list
-        stuck.send_signal(signal.SIGSTOP)
+        stuck.freeze()
         for number in range(200):
             sink.send({"data": str(number) + "x" * 200_000})
             lasting.wait_for("count", partial(lt, number), topic="/much")

@@ -104,31 +104,26 @@ class Doer:
         self.goals: list[Any] = []
         self.steps: list[list[list[int]]] = []
 
-    def advertise(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
+    def advertise(self, topic: str, kind: str = "Int64", **qos: Any) -> None:
         native = {"Int64": Int64, "Image": Image, "String": String}[kind]
         self.publishers[topic] = self.node.create_publisher(native, topic, profile(**qos))
         if qos.get("durability") == "transient_local":
             self.latched.add(topic)
-        return {}
 
-    def redefine(self, kind: str = "Int64") -> dict[str, Any]:
+    def redefine(self, kind: str = "Int64") -> None:
         """Define a type otherwise from now on."""
         redefine({"Int64": Int64, "Image": Image, "String": String}[kind])
-        return {}
 
-    def redefine_reply(self) -> dict[str, Any]:
+    def redefine_reply(self) -> None:
         """Define what a service replies otherwise from now on."""
         redefine_reply(BasicTypes)
-        return {}
 
-    def redefine_goal_reply(self) -> dict[str, Any]:
+    def redefine_goal_reply(self) -> None:
         """Define how goals of an action are answered otherwise from now on."""
         redefine_goal_reply(Fibonacci)
-        return {}
 
-    def unadvertise(self, topic: str) -> dict[str, Any]:
+    def unadvertise(self, topic: str) -> None:
         self.node.destroy_publisher(self.publishers.pop(topic))
-        return {}
 
     def publish(
         self,
@@ -138,7 +133,7 @@ class Doer:
         period: float = 0.0,
         size: int = 0,
         unmatched: bool = False,
-    ) -> dict[str, Any]:
+    ) -> None:
         """Publish numbered messages, to a matched subscription unless they are latched.
 
         A subscription that has matched this publisher may be unknown to it for long on a busy
@@ -162,16 +157,14 @@ class Doer:
             patiently(publisher, message)
             if period and self.over.wait(period):
                 break
-        return {"published": count}
 
-    def advertise_octets(self, topic: str, native: str) -> dict[str, Any]:
+    def advertise_octets(self, topic: str, native: str) -> None:
         """Have a publisher of a type, `package/msg/Name`, whose messages are given as octets."""
         package, _, name = native.split("/")
         message_type = getattr(importlib.import_module(f"{package}.msg"), name)
         self.octets[topic] = self.node.create_publisher(message_type, topic, profile())
-        return {}
 
-    def publish_octets(self, topic: str, octets: str) -> dict[str, Any]:
+    def publish_octets(self, topic: str, octets: str) -> None:
         """Publish octets, given in hexadecimal digits, as a serialised message; once."""
         publisher = self.octets.pop(topic)
         deadline = time.monotonic() + PATIENCE
@@ -181,11 +174,8 @@ class Doer:
         publisher.publish(bytes.fromhex(octets))
         publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
         self.node.destroy_publisher(publisher)
-        return {}
 
-    def diagnose(
-        self, entries: list[Any], count: int = 0, topic: str = "/diagnostics"
-    ) -> dict[str, Any]:
+    def diagnose(self, entries: list[Any], count: int = 0, topic: str = "/diagnostics") -> None:
         """Publish an array of entries, and of so many others before, ten times a second."""
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -204,14 +194,12 @@ class Doer:
             publisher = self.node.create_publisher(DiagnosticArray, topic, profile())
             self.publishers[topic] = publisher
             self.timer = self.node.create_timer(0.1, lambda: publisher.publish(self.array))
-        return {}
 
-    def end_diagnosis(self) -> dict[str, Any]:
+    def end_diagnosis(self) -> None:
         """Publish no more arrays, and stay."""
         self.timer.cancel()
-        return {}
 
-    def subscribe(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
+    def subscribe(self, topic: str, kind: str = "Int64", **qos: Any) -> None:
         native = {"Int64": Int64, "Image": Image, "String": String}[kind]
         seen: list[Any] = []
         self.seen[topic] = seen
@@ -220,9 +208,8 @@ class Doer:
             seen.append(message.height if native is Image else message.data)
 
         self.node.create_subscription(native, topic, take, profile(**qos))
-        return {}
 
-    def subscribe_timed(self, topics: list[str]) -> dict[str, Any]:
+    def subscribe_timed(self, topics: list[str]) -> None:
         """Note what comes on several topics of numbers, with the times at which it was written.
 
         The order in which messages of two topics arrive says nothing; that of their times does.
@@ -234,13 +221,12 @@ class Doer:
                 self.timed.append((info["source_timestamp"], topic, message.data))
 
             self.node.create_subscription(Int64, topic, take, profile())
-        return {}
 
-    def report_timed(self) -> dict[str, Any]:
+    def report_timed(self) -> Any:
         """Return what came so far on these topics, in the order in which it was written."""
-        return {"seen": [[topic, number] for _, topic, number in sorted(self.timed)]}
+        return [[topic, number] for _, topic, number in sorted(self.timed)]
 
-    def report(self, topic: str, expected: int, timeout: float = PATIENCE) -> dict[str, Any]:
+    def report(self, topic: str, expected: int, timeout: float = PATIENCE) -> Any:
         """Return what has come once it is so much, or once nothing more comes for so long."""
         seen = self.seen[topic]
         before, deadline = len(seen), time.monotonic() + timeout
@@ -248,16 +234,16 @@ class Doer:
             time.sleep(0.01)
             if len(seen) > before:
                 before, deadline = len(seen), time.monotonic() + timeout
-        return {"seen": list(seen)}
+        return list(seen)
 
-    def subscriptions(self, topic: str, expected: int) -> dict[str, Any]:
+    def subscriptions(self, topic: str, expected: int) -> Any:
         deadline = time.monotonic() + PATIENCE
         publisher = self.publishers[topic]
         while publisher.get_subscription_count() != expected and time.monotonic() < deadline:
             time.sleep(0.005)
-        return {"count": publisher.get_subscription_count()}
+        return publisher.get_subscription_count()
 
-    def serve(self, name: str, delay: float = 0.0) -> dict[str, Any]:
+    def serve(self, name: str, delay: float = 0.0) -> None:
         def answer(request: Any, response: Any) -> Any:
             self.asked.set()
             time.sleep(delay)
@@ -266,32 +252,28 @@ class Doer:
             return response
 
         self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
-        return {}
 
-    def serve_flag(self, name: str) -> dict[str, Any]:
+    def serve_flag(self, name: str) -> None:
         """Serve a name with another type than `serve` does."""
         self.node.create_service(SetBool, name, lambda _, response: response)
-        return {}
 
-    def die(self, name: str) -> dict[str, Any]:
+    def die(self, name: str) -> None:
         """Serve until the first request comes, and be killed by it."""
 
         def answer(request: Any, response: Any) -> Any:
             os.kill(os.getpid(), signal.SIGKILL)
 
         self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
-        return {}
 
-    def fail(self, name: str) -> dict[str, Any]:
+    def fail(self, name: str) -> None:
         """Serve as a node does whose callback raises: the exception ends the process."""
 
         def answer(request: Any, response: Any) -> Any:
             raise RuntimeError("this service is broken")
 
         self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
-        return {}
 
-    def echo(self, come: str, go: str) -> dict[str, Any]:
+    def echo(self, come: str, go: str) -> None:
         """Publish what comes; what comes before the first listener waits for it.
 
         A reader may know of this writer, and have sent a message by way of it, before this writer
@@ -322,18 +304,15 @@ class Doer:
                 self.node.destroy_publisher(self.publishers.pop(go))
 
         self.echoes[come] = end
-        return {}
 
-    def end_echo(self, come: str) -> dict[str, Any]:
+    def end_echo(self, come: str) -> None:
         self.echoes.pop(come)()
-        return {}
 
-    def pass_on(self, come: str, go: str, kind: str) -> dict[str, Any]:
+    def pass_on(self, come: str, go: str, kind: str) -> None:
         """Publish what comes, of any type of test_msgs."""
         native = getattr(test_msgs.msg, kind)
         publisher = self.node.create_publisher(native, go, profile())
         self.node.create_subscription(native, come, publisher.publish, profile())
-        return {}
 
     def call(self, name: str, value: bool) -> dict[str, Any]:
         client = self.node.create_client(SetBool, name, callback_group=self.group)
@@ -342,16 +321,14 @@ class Doer:
         self.node.destroy_client(client)
         return {"success": reply.success, "message": reply.message}
 
-    def manage(self, name: str, topic: str, fails: str = "") -> dict[str, Any]:
+    def manage(self, name: str, topic: str, fails: str = "") -> None:
         """Start a lifecycle node beside the first one."""
         self.managed = Numbers(name, topic, fails)
         self.node.executor.add_node(self.managed)
-        return {}
 
-    def trigger(self, transition: str) -> dict[str, Any]:
+    def trigger(self, transition: str) -> None:
         """Change the state of the lifecycle node, as another client than the tested bridge does."""
         self.within(getattr(self.managed, f"trigger_{transition}"))
-        return {}
 
     def transitions(self, expected: int, timeout: float = PATIENCE) -> dict[str, Any]:
         """Wait until the lifecycle node was asked for so much."""
@@ -364,7 +341,7 @@ class Doer:
             "writes": self.managed.writes,
         }
 
-    def act(self, name: str, period: float = 0.05, gated: bool = False) -> dict[str, Any]:
+    def act(self, name: str, period: float = 0.05, gated: bool = False) -> None:
         """Offer an action; gated, it answers no goal before `accept_goals`."""
         if not gated:
             self.gate.set()
@@ -403,7 +380,6 @@ class Doer:
             goal_callback=judge,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
-        return {}
 
     def within(self, act: Any) -> Any:
         """Do something in the executor's thread: an action client drops answers that come sooner.
@@ -412,11 +388,11 @@ class Doer:
         """
         return done(self.node.executor.create_task(act))
 
-    def meet(self, name: str) -> dict[str, Any]:
+    def meet(self, name: str) -> Any:
         """Make a client of an action, and see its server."""
         client = ActionClient(self.node, Fibonacci, name, callback_group=self.group)
         self.clients[name] = client
-        return {"met": client.wait_for_server(PATIENCE)}
+        return client.wait_for_server(PATIENCE)
 
     def pursue(self, name: str, order: int) -> dict[str, Any]:
         """Send a goal, as an ordinary action client does, and wait for its answer."""
@@ -431,7 +407,7 @@ class Doer:
         self.steps.append(steps)
         return {"goal": len(self.goals) - 1, "accepted": handle.accepted}
 
-    def pursue_many(self, name: str, count: int, at_once: int) -> dict[str, Any]:
+    def pursue_many(self, name: str, count: int, at_once: int) -> dict[str, int]:
         """Send many goals, some at a time, of which every fifth is cancelled; count their ends."""
         client, ends, orders = self.clients[name], list[int](), iter(range(count))
         over = threading.Event()
@@ -461,13 +437,13 @@ class Doer:
         for _ in range(at_once):
             self.within(send)
         assert over.wait(PATIENCE), f"{len(ends)} of {count} goals ended"
-        return {"ends": {str(status): ends.count(status) for status in set(ends)}}
+        return {str(status): ends.count(status) for status in set(ends)}
 
-    def feedback(self, goal: int, expected: int) -> dict[str, Any]:
+    def feedback(self, goal: int, expected: int) -> Any:
         deadline = time.monotonic() + PATIENCE
         while len(self.steps[goal]) < expected and time.monotonic() < deadline:
             time.sleep(0.01)
-        return {"steps": self.steps[goal]}
+        return self.steps[goal]
 
     def give_up(self, goal: int) -> dict[str, Any]:
         """Ask for the end of a goal."""
@@ -479,27 +455,26 @@ class Doer:
         reply = done(self.within(self.goals[goal].get_result_async))
         return {"status": reply.status, "sequence": list(reply.result.sequence)}
 
-    def goal_asked(self) -> dict[str, Any]:
-        return {"asked": self.asked.wait(PATIENCE)}
+    def goal_asked(self) -> Any:
+        return self.asked.wait(PATIENCE)
 
-    def accept_goals(self) -> dict[str, Any]:
+    def accept_goals(self) -> None:
         self.gate.set()
-        return {}
 
-    def goals_begun(self) -> dict[str, Any]:
-        return {"count": self.executed}
+    def goals_begun(self) -> Any:
+        return self.executed
 
-    def request_begun(self) -> dict[str, Any]:
-        return {"begun": self.asked.wait(PATIENCE)}
+    def request_begun(self) -> Any:
+        return self.asked.wait(PATIENCE)
 
-    def goal_begun(self) -> dict[str, Any]:
-        return {"begun": self.begun.wait(PATIENCE)}
+    def goal_begun(self) -> Any:
+        return self.begun.wait(PATIENCE)
 
-    def goal_ends(self) -> dict[str, Any]:
+    def goal_ends(self) -> Any:
         deadline = time.monotonic() + PATIENCE
         while not self.ends and time.monotonic() < deadline:
             time.sleep(0.01)
-        return {"ends": self.ends}
+        return self.ends
 
 
 def say(answer: dict[str, Any]) -> None:
@@ -517,13 +492,13 @@ def listen(doer: Doer, orders: queue.SimpleQueue[dict[str, Any] | None]) -> None
 def obey(doer: Doer) -> None:
     orders: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
     threading.Thread(target=listen, args=(doer, orders), daemon=True).start()
-    say({"ready": True})
+    say({"is": "ready"})
     while (order := orders.get()) is not None:
-        operation = getattr(doer, order.pop("op"))
+        operation = getattr(doer, order.pop("do"))
         try:
-            say(operation(**order))
+            say({"is": operation(**order)})
         except Exception as error:  # noqa: BLE001 - reported to the test
-            say({"failed": repr(error)})
+            say({"raised": repr(error)})
     rclpy.try_shutdown()
 
 

@@ -53,7 +53,7 @@ def test_of_what_is_sent_at_once_keep_all_loses_nothing(peer: Start, host: str) 
         for number in range(2000):
             connection.send({"data": number})
         assert connection.flush(patience())
-        seen = listener.do("report", topic="/kept", expected=2000)["seen"]
+        seen = listener.do("report", topic="/kept", expected=2000)
     assert seen == list(range(2000))
 
 

@@ -109,7 +109,7 @@ class Counter:
 
 def meet(ros: Any, client: Peer, name: str) -> None:
     """Have a client meet a server, and the server the client: else its first answers are lost."""
-    assert client.do("meet", name=name)["met"]
+    assert client.do("meet", name=name)
     node = ros._runner.node
     for service in ("send_goal", "cancel_goal", "get_result"):
         topic = f"rr{name}/_action/{service}Reply"
@@ -138,7 +138,7 @@ class Stage:
         self.client.start("pursue", name=self.name, order=order)
         assert counter.took("goal", count) == {"order": order}
         counter.status(name, "accepted")
-        answer = self.client.answer()
+        answer = self.client.receive()
         assert answer["accepted"]
         goal: int = answer["goal"]
         return goal
@@ -177,7 +177,7 @@ def test_goals_run_side_by_side_with_feedback_and_each_has_its_result(
         there.best.feed(f"goal {number}", number)
         there.best.feed(f"goal {number}", number, number)
     for number, goal in enumerate(goals, 1):
-        steps = there.client.do("feedback", goal=goal, expected=2)["steps"]
+        steps = there.client.do("feedback", goal=goal, expected=2)
         assert steps == [[number], [number, number]]
     there.best.end("goal 2", "succeeded", 2, 2, 2)
     there.best.end("goal 1", "aborted", 1)
@@ -190,7 +190,7 @@ def test_a_goal_is_rejected_or_cancelled(stage: Callable[..., Stage]) -> None:
     there.client.start("pursue", name=there.name, order=-1)
     there.best.took("goal", 1)
     there.best.status("goal 1", "rejected")
-    assert not there.client.answer()["accepted"]
+    assert not there.client.receive()["accepted"]
     goal = there.pursue(there.best, "goal 2", 2)
     assert there.client.do("give_up", goal=goal) == {"canceling": 1, "code": 0}
     assert there.best.took("cancel", 1) == {"goal_id": "goal 2"}
@@ -215,7 +215,7 @@ def test_goals_of_a_provider_that_dies_are_aborted_and_the_next_one_takes_others
     there.client.start("pursue", name=there.name, order=5)
     there.best.took("goal", 2)
     there.best.die()
-    assert not there.client.answer()["accepted"]
+    assert not there.client.receive()["accepted"]
     assert there.outcome(goal) == (ABORTED, [])
     goal = there.pursue(there.next, "goal")
     there.next.end("goal", "succeeded", 1)
@@ -276,7 +276,7 @@ def test_each_of_a_thousand_goals_ends_whatever_dies(stage: Callable[..., Stage]
     there = stage()
     work = Work((there.best, there.next), goals_in_a_life=40)
     try:
-        ends = there.client.do("pursue_many", name=there.name, count=1000, at_once=8)["ends"]
+        ends = there.client.do("pursue_many", name=there.name, count=1000, at_once=8)
     finally:
         work.end()
     assert sum(ends.values()) == 1000

@@ -55,9 +55,7 @@ def test_nodes_use_what_is_offered_in_any_order_of_start(
 
         def received() -> list[int]:
             counter.emit({"data": 7})
-            seen: list[int] = node.do("report", topic="/offered/count", expected=1, timeout=0.1)[
-                "seen"
-            ]
+            seen: list[int] = node.do("report", topic="/offered/count", expected=1, timeout=0.1)
             return seen
 
         wait(received)

@@ -226,7 +226,7 @@ def test_a_last_message_can_be_sent_after_an_interrupt(
         text=True,
     ) as process:
         try:
-            seen = listener.do("report", topic="/stop", expected=1)["seen"]
+            seen = listener.do("report", topic="/stop", expected=1)
             said = process.communicate("", timeout=patience())
         finally:
             process.kill()
@@ -322,7 +322,7 @@ def test_a_bridge_closes_in_time_while_messages_flow_both_ways(
         inbox.wait_for(10)
         Background(bridge.close).result()
         assert sending.result() is FailureReason.CLOSED
-        talker.answer()
+        talker.receive()
     assert [thread.name for thread in threading.enumerate() if thread.name.startswith("ros2")] == []
 
 

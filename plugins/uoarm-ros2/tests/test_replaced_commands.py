@@ -72,7 +72,7 @@ def base(peer: Start) -> Peer:
 
 
 def seen(base: Peer) -> list[tuple[str, int]]:
-    return [(topic, number) for topic, number in base.do("report_timed")["seen"]]
+    return [(topic, number) for topic, number in base.do("report_timed")]
 
 
 def has_come(base: Peer, topic: str) -> bool:

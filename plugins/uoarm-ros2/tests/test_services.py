@@ -256,7 +256,7 @@ def test_a_handler_may_call_and_a_receiver_may_call(bridge: Bridge, peer: Start)
         endpoint(Role.OUTPUT, "/numbers", INT64),
         lambda message: inbox(ask(message["data"])),
     )
-    assert talker.do("subscriptions", topic="/numbers", expected=1) == {"count": 1}
+    assert talker.do("subscriptions", topic="/numbers", expected=1) == 1
     talker.do("publish", topic="/numbers", count=3)
     assert inbox.wait_for(3) == [2, 3, 4]
     bridge.serve(service("/switch", SET_BOOL), lambda _: {"success": True, "message": str(ask(40))})
@@ -285,7 +285,7 @@ def test_requests_are_handled_at_once_as_many_as_the_option_says(
     clients = [peer(f"client_{number}") for number in range(4)]
     for client in clients:
         client.start("call", name="/meet", value=True)
-    assert [client.answer()["message"] for client in clients] == ["met"] * 4
+    assert [client.receive()["message"] for client in clients] == ["met"] * 4
     assert most == 2
     # The client has its answer a moment before it is counted.
     wait(lambda: channel.facts() == {"answered": 4, "failed": 0, "refused": 0, "waiting": 0})
@@ -311,17 +311,17 @@ def test_an_action_that_is_given_up_is_cancelled(bridge: Bridge, peer: Start) ->
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05)
     bridge.call(service("/fibonacci", FIBONACCI), {"order": 2})  # it is known
-    while server.do("goals_begun")["count"] == 1:  # one may be given up before it has begun
+    while server.do("goals_begun") == 1:  # one may be given up before it has begun
         with pytest.raises(BridgeTimeoutError):
             bridge.call(service("/fibonacci", FIBONACCI), {"order": 2000}, timeout=0.5)
 
     def are_cancelled() -> bool:
-        first, *others = server.do("goal_ends")["ends"]
-        begun: int = server.do("goals_begun")["count"]
+        first, *others = server.do("goal_ends")
+        begun: int = server.do("goals_begun")
         return first == "completed" and len(others) == begun - 1
 
     wait(are_cancelled)
-    assert set(server.do("goal_ends")["ends"][1:]) == {"canceled"}
+    assert set(server.do("goal_ends")[1:]) == {"canceled"}
 
 
 def test_a_goal_that_is_accepted_after_its_call_was_given_up_is_cancelled() -> None:
@@ -382,7 +382,7 @@ def test_an_action_that_an_emergency_stop_ends_is_cancelled(
         calling.join(patience())
         assert (outcome.component, outcome.stopped) == ("arm", True)
         assert "the emergency stop cancelled the call" in str(came[0])
-    assert server.do("goal_ends")["ends"] == ["canceled"]
+    assert server.do("goal_ends") == ["canceled"]
 
 
 @pytest.mark.parametrize("is_hosted", [False, True])
@@ -402,7 +402,7 @@ def test_an_emergency_stop_cancels_a_goal_as_soon_as_it_is_accepted(
 
         calling = threading.Thread(target=call)
         calling.start()
-        assert server.do("goal_asked") == {"asked": True}
+        assert server.do("goal_asked")
 
         def is_cancelled() -> bool:  # no goal ends before it is accepted; a host may answer later
             (outcome,) = robot.stop_all(timeout=0.5).inputs
@@ -411,7 +411,7 @@ def test_an_emergency_stop_cancels_a_goal_as_soon_as_it_is_accepted(
 
         wait(is_cancelled)
         server.do("accept_goals")
-        assert server.do("goal_ends")["ends"] == ["canceled"]
+        assert server.do("goal_ends") == ["canceled"]
         calling.join(patience())
         assert "the emergency stop cancelled the call" in str(came[0])
 
@@ -483,9 +483,9 @@ def test_goals_whose_input_closes_are_cancelled_and_those_of_another_go_on(
     server.do("goal_begun")
     left.send({"order": 2000})
     left.close()  # also where it is not accepted yet
-    assert server.do("goal_ends")["ends"] == ["canceled"]
+    assert server.do("goal_ends") == ["canceled"]
     staying.close()
-    wait(lambda: server.do("goal_ends")["ends"] == ["canceled", "canceled"])
+    wait(lambda: server.do("goal_ends") == ["canceled", "canceled"])
 
 
 def test_goals_of_a_killed_server_are_lost(bridge: Bridge, peer: Start) -> None:
@@ -537,7 +537,7 @@ def test_goals_of_a_server_that_another_one_replaces_are_lost(
     looked = looks(bridge, monkeypatch)
     calling = threading.Thread(target=call)
     calling.start()
-    wait(lambda: server.do("goals_begun")["count"] == 2)
+    wait(lambda: server.do("goals_begun") == 2)
     wait(lambda: looked - {"ros2 uoarm_ros"})
     successor.do("act", name="/fibonacci")
     graph = bridge._graph  # type: ignore[attr-defined]  # of DDS
@@ -582,7 +582,7 @@ def test_a_call_whose_server_another_one_replaces_ends(
     looked = looks(bridge, monkeypatch)
     calling = threading.Thread(target=call)
     calling.start()
-    assert server.do("request_begun")["begun"]
+    assert server.do("request_begun")
     wait(lambda: looked - {"ros2 uoarm_ros"})
     successor.do("serve", name="/slow")
     graph = bridge._graph  # type: ignore[attr-defined]  # of DDS

@@ -461,7 +461,7 @@ class Process:
 
 
 def _say(answer: Any) -> None:
-    sys.stdout.write(json.dumps(answer) + "\n")
+    sys.stdout.write(json.dumps({"is": answer}) + "\n")
     sys.stdout.flush()
 
 
