@@ -8,6 +8,7 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from endpoints import Start
 from messages import default_of
 from peers import DOMAIN, MORTAL_CALM, Peer
 from uoarm_ros2._types import import_type
@@ -47,7 +48,7 @@ class RosWorld(World):
             other kinds loop through topics within the bridge, with no link that could break.
     """
 
-    def __init__(self, lasting: Peer, start: Callable[..., Peer], *, breaks: bool = False) -> None:
+    def __init__(self, lasting: Peer, start: Start, *, breaks: bool = False) -> None:
         self._lasting = lasting
         self._start = start
         self._breaks = breaks

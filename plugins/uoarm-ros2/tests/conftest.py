@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,6 +13,7 @@ import pytest
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # for the modules that the tests share
 
+from endpoints import Make, Start
 from peers import DOMAIN, WAIT_SECONDS, Peer
 from tests.profiles import load_profile  # type: ignore[import-not-found]
 
@@ -35,7 +36,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture
-def make_bridge() -> Iterator[Callable[..., Bridge]]:
+def make_bridge() -> Iterator[Make]:
     """Makes bridges and closes them all at the end."""
     made: list[Bridge] = []
     registry = Registry()
@@ -53,12 +54,12 @@ def make_bridge() -> Iterator[Callable[..., Bridge]]:
 
 
 @pytest.fixture
-def bridge(make_bridge: Callable[..., Bridge]) -> Bridge:
+def bridge(make_bridge: Make) -> Bridge:
     return make_bridge()
 
 
 @pytest.fixture
-def peer() -> Iterator[Callable[..., Peer]]:
+def peer() -> Iterator[Start]:
     """Starts peer processes and ends them all, frozen ones too."""
     started: list[Peer] = []
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from uoarm.model import Endpoint, Role
 from uoarm.testing import wait
 
 INT64 = "std_msgs/msg/Int64"
+Make = Callable[..., Bridge]
+Start = Callable[..., Peer]
 
 
 def endpoint(role: Role, *address: str, port: str = "default", **options: Any) -> Endpoint:

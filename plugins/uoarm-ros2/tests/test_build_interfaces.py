@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from endpoints import endpoint, source
+from endpoints import Make, endpoint, source
 from peers import own_line
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
@@ -171,7 +171,7 @@ def test_a_node_talks_what_was_built(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-    make_bridge: Callable[..., Bridge],
+    make_bridge: Make,
     claw: Callable[[Path], None],
 ) -> None:
     """Two packages, one of which holds types of the other, as message, service and action."""

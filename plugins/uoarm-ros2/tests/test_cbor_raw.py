@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from endpoints import Start
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from messages import MESSAGE_TYPES, messages_of, same
-from peers import OPTIONS, Peer
+from peers import OPTIONS
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 from uoarm_ros2._conversion import reader, writer
@@ -57,7 +57,7 @@ def test_ros_2_reads_what_the_server_serialises(name: str, data: st.DataObject) 
     assert same(codec.decode(octets), message)
 
 
-def test_a_picture_of_ros_2_comes_out_as_ros_2_has_it(peer: Callable[..., Peer]) -> None:
+def test_a_picture_of_ros_2_comes_out_as_ros_2_has_it(peer: Start) -> None:
     doer = peer("doer")
     doer.do("advertise", topic="/raw/pictures", kind="Image")
     robot = loads(CONFIGURATION, origin=str(Path(__file__).with_name("robot.yaml")))

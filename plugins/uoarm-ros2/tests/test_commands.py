@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from peers import Peer
+from endpoints import Start
 
 from uoarm.cli import main
 from uoarm.model import BridgeSpec, Options
@@ -41,7 +41,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> 
     return run_it
 
 
-def test_nodes_types_and_structures_are_shown(run: Run, peer: Callable[..., Peer]) -> None:
+def test_nodes_types_and_structures_are_shown(run: Run, peer: Start) -> None:
     peer("talker").do("advertise", topic="/numbers")
     numbers = {"role": "output", "name": "/numbers", "type": "std_msgs/msg/Int64", "known": True}
 
@@ -62,7 +62,7 @@ def test_nodes_types_and_structures_are_shown(run: Run, peer: Callable[..., Peer
 
 
 def test_why_types_are_not_known_is_said_once_for_all_nodes_that_talk_them(
-    run: Run, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
+    run: Run, peer: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("left", "right"):
         peer(name).do("serve", name=f"/{name}/one")

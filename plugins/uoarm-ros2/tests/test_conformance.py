@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from conformance_world import KINDS, SILENT_SECONDS, RosWorld
+from endpoints import Start
 from peers import DOMAIN, Peer
 from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
 
@@ -31,9 +32,7 @@ class TestRos2Bridge(BridgeConformance):
     paths = ("echoed",)  # of the others none has a link that could break
 
     @pytest.fixture
-    def world(
-        self, lasting: Peer, peer: Callable[..., Peer], request: pytest.FixtureRequest
-    ) -> Iterator[World]:
+    def world(self, lasting: Peer, peer: Start, request: pytest.FixtureRequest) -> Iterator[World]:
         # Of the kit's tests, those of one class break the world: they get a node to freeze.
         breaks = request.function.__qualname__.startswith("Breaking.")
         made = RosWorld(lasting, peer, breaks=breaks)

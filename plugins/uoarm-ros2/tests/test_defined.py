@@ -10,21 +10,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import endpoint, known, sink, source, write
+from endpoints import Make, Start, endpoint, known, sink, source, write
 from messages import same
-from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._type_finder import DefinedTypes
 from uoarm_ros2._types import import_type, shape_of, type_hash
 from uoarm_ros2.definitions import DefinitionReader
 
-from uoarm.bridge import Bridge, Registry
+from uoarm.bridge import Registry
 from uoarm.errors import BridgeError, ConfigurationError, MessageError
 from uoarm.model import Role
 from uoarm.testing import patience
 
-MakeBridge = Callable[..., Bridge]
+MakeBridge = Make
 MADE = {"boolean": True, "integer": 3, "number": 0.25}
 
 
@@ -90,7 +89,7 @@ def test_a_folder_gives_the_very_structure_and_takes_what_it_refers_to_from_what
 
 def test_a_type_that_no_node_describes_is_talked_both_ways(
     make_bridge: MakeBridge,
-    peer: Callable[..., Peer],
+    peer: Start,
     own: Path,
     uninstall: Callable[[str], None],
 ) -> None:
@@ -131,7 +130,7 @@ def _nested(fields: Any) -> Any:
 
 def test_a_folder_of_another_version_than_the_node_has_is_refused(
     make_bridge: MakeBridge,
-    peer: Callable[..., Peer],
+    peer: Start,
     own: Path,
     uninstall: Callable[[str], None],
 ) -> None:

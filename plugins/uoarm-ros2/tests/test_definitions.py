@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import INT64, endpoint, known, sink, source
+from endpoints import INT64, Start, endpoint, known, sink, source
 from messages import default_of
-from peers import MORTAL, Peer
+from peers import MORTAL
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._types import import_type
 
@@ -17,7 +16,6 @@ from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
 from uoarm.testing import wait
 
-Start = Callable[..., Peer]
 OTHER = "RIHS01_000102030405"
 BASIC = "test_msgs/srv/BasicTypes"
 FIBONACCI = "test_msgs/action/Fibonacci"

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import endpoint, known, sink, source
+from endpoints import Start, endpoint, known, sink, source
 from messages import same
-from peers import DOMAIN, Peer
+from peers import DOMAIN
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2 import _type_finder
 from uoarm_ros2._middleware import Participant, untyped_class
@@ -34,9 +33,7 @@ def uninstalled(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("uninstalled")
-def test_a_type_that_is_not_installed_is_used_both_ways(
-    bridge: Bridge, peer: Callable[..., Peer]
-) -> None:
+def test_a_type_that_is_not_installed_is_used_both_ways(bridge: Bridge, peer: Start) -> None:
     there = peer("there", "threads")
     there.do("pass_on", come="/come", go="/go", kind=SEQUENCES.rsplit("/", 1)[1])
     known(bridge, "/there")
@@ -71,9 +68,7 @@ def _basic(schema: Any) -> dict[str, object]:
 
 
 @pytest.mark.usefixtures("uninstalled")
-def test_a_type_that_no_node_describes_says_what_to_install(
-    bridge: Bridge, peer: Callable[..., Peer]
-) -> None:
+def test_a_type_that_no_node_describes_says_what_to_install(bridge: Bridge, peer: Start) -> None:
     there = peer("there", "silent")
     there.do("pass_on", come="/come", go="/go", kind="Strings")
     known(bridge, "/there", bare=True)

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from endpoints import Make
 from peers import DOMAIN
 from rclpy.executors import SingleThreadedExecutor
 
 from uoarm import RobotManager
-from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.model import Health
 from uoarm.testing import MemoryBridge, wait
@@ -53,7 +53,7 @@ def received() -> Iterator[Callable[[], list[Any]]]:
 
 
 def test_monitors_see_the_managers_health_as_it_changes(
-    make_bridge: Callable[..., Bridge], received: Callable[[], list[Any]]
+    make_bridge: Make, received: Callable[[], list[Any]]
 ) -> None:
     memory = MemoryBridge("memory")
     memory.emitter("camera", {"type": "integer"})

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import queue
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import endpoint, sink
+from endpoints import Make, endpoint, sink
 from uoarm_ros2 import _transforms
 from uoarm_ros2._options import TF_MESSAGE
 from uoarm_ros2._transforms import TransformBuffer, TransformError
@@ -21,7 +20,7 @@ from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Role
 from uoarm.testing import patience, wait
 
-MakeBridge = Callable[..., Bridge]
+MakeBridge = Make
 FRAMES = endpoint(Role.SERVICE, "/tf", TF_MESSAGE, "lookup", peer="optional")
 
 

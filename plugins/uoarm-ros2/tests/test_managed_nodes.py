@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 from attrs import evolve
-from endpoints import INT64, endpoint
+from endpoints import INT64, Make, Start, endpoint
 from messages import default_of
 from peers import MORTAL, OPTIONS, Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
@@ -24,8 +23,6 @@ from uoarm.model import Endpoint, Health, Role
 from uoarm.server.front_end import Operation, Supervision
 from uoarm.testing import patience, wait
 
-Make = Callable[..., Bridge]
-Start = Callable[..., Peer]
 SET_BOOL = "std_srvs/srv/SetBool"
 
 

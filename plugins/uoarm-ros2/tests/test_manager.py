@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from endpoints import reaches
-from peers import MORTAL, OPTIONS, Peer
+from endpoints import Start, reaches
+from peers import MORTAL, OPTIONS
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -17,7 +16,6 @@ from uoarm.errors import MessageError, ResolutionError
 from uoarm.model import ConnectionState, QueuePolicy
 from uoarm.testing import patience, wait
 
-Start = Callable[..., Peer]
 LATE_SECONDS = 2.0  # twice as long as a host waits for a reader of anything else
 
 

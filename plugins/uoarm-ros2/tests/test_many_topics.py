@@ -8,14 +8,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import INT64, endpoint, source
-from peers import Peer
+from endpoints import INT64, Make, Start, endpoint, source
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner
 from uoarm_ros2._middleware import Peer as TopicEndpoint
 from uoarm_ros2._qos import Policies
 
-from uoarm.bridge import Bridge
 from uoarm.cdr._reading import reader
 from uoarm.model import Role
 
@@ -24,7 +22,7 @@ _MOST_LOOKS = 4
 
 
 def test_one_more_topic_of_a_type_takes_few_looks_and_compiles_nothing(
-    make_bridge: Callable[..., Bridge], peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
+    make_bridge: Make, peer: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looks: Counter[str] = Counter()
 

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import pytest
+from endpoints import Make
 from peers import DOMAIN, Peer
 from tests.structures import closed  # type: ignore[import-not-found]
 
@@ -156,7 +157,7 @@ def client() -> Iterator[Peer]:
 
 
 @pytest.fixture
-def stage(make_bridge: Callable[..., Bridge], client: Peer) -> Iterator[Callable[..., Stage]]:
+def stage(make_bridge: Make, client: Peer) -> Iterator[Callable[..., Stage]]:
     made: list[Stage] = []
 
     def make(**how: Any) -> Stage:

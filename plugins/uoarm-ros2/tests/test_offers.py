@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-from peers import Peer
+from endpoints import Make, Start
 from tests.structures import closed  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
-from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.model import OfferState
 from uoarm.testing import MemoryBridge, wait
 
-Start = Callable[..., Peer]
 NUMBER = closed(data={"type": "integer", "minimum": -(2**63), "maximum": 2**63 - 1})
 FLAG = closed(data={"type": "boolean"})
 OUTCOME = closed(success={"type": "boolean"}, message={"type": "string"})
@@ -33,9 +30,7 @@ offer:
 """
 
 
-def test_nodes_use_what_is_offered_in_any_order_of_start(
-    make_bridge: Callable[..., Bridge], peer: Start
-) -> None:
+def test_nodes_use_what_is_offered_in_any_order_of_start(make_bridge: Make, peer: Start) -> None:
     memory = MemoryBridge("one")
     counter: Any = memory.emitter("counter", NUMBER)
     arm = memory.taker("arm", NUMBER)

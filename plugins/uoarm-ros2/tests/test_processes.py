@@ -8,14 +8,13 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import INT64, await_quiet_watch, endpoint, sink, source
-from peers import DOMAIN, Peer
+from endpoints import INT64, Make, Start, await_quiet_watch, endpoint, sink, source
+from peers import DOMAIN
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import _loop
@@ -25,9 +24,6 @@ from uoarm.bridge import Bridge, Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
 from uoarm.testing import Background, ResourceSnapshot, patience, wait
-
-Make = Callable[..., Bridge]
-Start = Callable[..., Peer]
 
 
 def test_domains_do_not_meet(make_bridge: Make, peer: Start) -> None:

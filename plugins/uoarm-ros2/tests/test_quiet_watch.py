@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from peers import DOMAIN, Peer
+from endpoints import Start
+from peers import DOMAIN
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner, Participant, _loop
 from uoarm_ros2._qos import Policies
@@ -52,7 +53,7 @@ class Ear:
 
 
 def test_a_quiet_subscription_receives_and_is_quiet_again(
-    runner: NodeRunner, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
+    runner: NodeRunner, peer: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(_loop, "_FEW", 2)
     monkeypatch.setattr(_loop, "_QUIET_SECONDS", 0.0)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import struct
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from endpoints import INT64, endpoint, reaches, source
+from endpoints import INT64, Make, Start, endpoint, reaches, source
 from peers import OPTIONS, Peer
 from rclpy.serialization import serialize_message
 from tests.inbox import Inbox  # type: ignore[import-not-found]
@@ -23,8 +22,6 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import ConnectionState, Endpoint, Health, Role
 from uoarm.testing import patience, wait
 
-Make = Callable[..., Bridge]
-Start = Callable[..., Peer]
 WHEEL = "driver: left wheel"
 OK, WARN, ERROR, STALE = range(4)
 
@@ -147,7 +144,7 @@ def numbers(**options: Any) -> Endpoint:
 
 
 @pytest.fixture
-def bridge(make_bridge: Callable[..., Bridge]) -> Bridge:
+def bridge(make_bridge: Make) -> Bridge:
     """A bridge to which a driver that stands still says for long what it said last."""
     return make_bridge(diagnostics_timeout=patience())
 
@@ -196,7 +193,7 @@ def test_each_level_is_the_health_of_the_channel(
 
 
 def test_an_entry_that_ceases_or_never_comes_is_reported_and_not_lost(
-    make_bridge: Callable[..., Bridge], driver: Peer
+    make_bridge: Make, driver: Peer
 ) -> None:
     bridge, events = make_bridge(diagnostics_timeout=0.5), Inbox()
     bridge.watch(events)
@@ -210,9 +207,7 @@ def test_an_entry_that_ceases_or_never_comes_is_reported_and_not_lost(
     assert not losses(events)
 
 
-def test_another_topic_is_read_where_the_bridge_names_one(
-    make_bridge: Callable[..., Bridge], driver: Peer
-) -> None:
+def test_another_topic_is_read_where_the_bridge_names_one(make_bridge: Make, driver: Peer) -> None:
     bridge, events = make_bridge(diagnostics_topic="/diagnostics_agg"), Inbox()
     bridge.watch(events)
     source(bridge, numbers(), Inbox())
@@ -223,9 +218,7 @@ def test_another_topic_is_read_where_the_bridge_names_one(
     assert not losses(events)
 
 
-def test_another_type_on_the_topic_is_named(
-    make_bridge: Callable[..., Bridge], peer: Start
-) -> None:
+def test_another_type_on_the_topic_is_named(make_bridge: Make, peer: Start) -> None:
     bridge, events = make_bridge(diagnostics_timeout=0.5), Inbox()
     bridge.watch(events)
     talker = peer("talker")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import INT64
+from endpoints import INT64, Start
 from mcap.reader import make_reader
-from peers import OPTIONS, Peer
+from peers import OPTIONS
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Int64
 
@@ -31,7 +30,7 @@ functions:
 
 
 def test_the_octets_are_those_that_came(
-    peer: Callable[..., Peer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    peer: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     encoded: list[Any] = []
     encode = Codec.encode

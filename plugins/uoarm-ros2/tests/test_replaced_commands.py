@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from endpoints import Make, Start
 from peers import OPTIONS, Peer
 
 from uoarm import Connection, RobotManager
-from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.errors import UoarmError
 from uoarm.model import Health
 from uoarm.testing import patience, wait
 
-Start = Callable[..., Peer]
 STOP, GO = 0, 1
 ROBOT = """
 version: 1
@@ -105,7 +104,7 @@ def test_a_configuration_stops_what_it_replaces_before_the_next_is_commanded(
 
 
 def test_a_provider_that_is_lost_is_stopped_before_the_next_is_commanded(
-    base: Peer, make_bridge: Callable[..., Bridge]
+    base: Peer, make_bridge: Make
 ) -> None:
     bridge = make_bridge()
     with (

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-from peers import OPTIONS, Peer
+from endpoints import Start
+from peers import OPTIONS
 from tests.processes import run_python  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
@@ -33,7 +33,7 @@ functions:
 """
 
 
-def test_roslibpy_sends_goals_to_an_action(peer: Callable[..., Peer]) -> None:
+def test_roslibpy_sends_goals_to_an_action(peer: Start) -> None:
     peer("doer", "threads").do("act", name="/fibonacci")
     robot = loads(CONFIGURATION, origin=str(Path(__file__).with_name("robot.yaml")))
     with (
@@ -79,7 +79,7 @@ functions:
 
 
 def test_fields_that_a_client_leaves_out_are_filled_as_by_rosbridge(
-    peer: Callable[..., Peer], tmp_path: Path
+    peer: Start, tmp_path: Path
 ) -> None:
     server, listener = peer("server", "threads"), peer("listener")
     server.do("serve", name="/increment")

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from endpoints import INT64, endpoint, known, sink, source
+from endpoints import INT64, Make, Start, endpoint, known, sink, source
 from messages import default_of
-from peers import DOMAIN, MORTAL, OPTIONS, Peer
+from peers import DOMAIN, MORTAL, OPTIONS
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2 import _services
 from uoarm_ros2._actions import Action
@@ -43,8 +43,6 @@ from uoarm.errors import (
 from uoarm.model import Health, Role
 from uoarm.testing import ManualClock, patience, wait
 
-Make = Callable[..., Bridge]
-Start = Callable[..., Peer]
 BASIC = "test_msgs/srv/BasicTypes"
 SET_BOOL = "std_srvs/srv/SetBool"
 FIBONACCI = "test_msgs/action/Fibonacci"

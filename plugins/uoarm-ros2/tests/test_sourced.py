@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from peers import Peer, own_line
+from endpoints import Start
+from peers import own_line
 from sourced import Sourced
 
 from uoarm.testing import patience, wait
@@ -48,9 +48,7 @@ def sourced(tmp_path: Path) -> Sourced:
     return Sourced(tmp_path)
 
 
-def test_an_installation_that_was_sourced_is_used(
-    sourced: Sourced, peer: Callable[..., Peer]
-) -> None:
+def test_an_installation_that_was_sourced_is_used(sourced: Sourced, peer: Start) -> None:
     report = json.loads(sourced.run("-c", DOCTOR))
     assert report["rclpy"].startswith(str(sourced.prefix))
     assert report["distribution"] == "jazzy, from a ROS 2 installation that was sourced"

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 from attrs import evolve
-from endpoints import INT64, await_quiet_watch, endpoint, known, matched, sink, source
-from peers import DOMAIN, MORTAL, Peer
+from endpoints import INT64, Make, Start, await_quiet_watch, endpoint, known, matched, sink, source
+from peers import DOMAIN, MORTAL
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner, _native
 
@@ -24,8 +24,6 @@ from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import CommandPolicy, Health, Role, StopMessage
 from uoarm.testing import Background, Collector, ResourceSnapshot, patience, slowness, wait
 
-Make = Callable[..., Bridge]
-Start = Callable[..., Peer]
 UNKNOWN = "_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_"
 
 

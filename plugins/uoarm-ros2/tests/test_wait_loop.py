@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from endpoints import Start
 from peers import DOMAIN, Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner, Participant, _actions, _loop
@@ -86,9 +87,7 @@ class Ear:
         return self._runner.turns.empty - self.empty
 
 
-def test_an_event_that_nothing_waits_for_costs_one_turn(
-    runner: NodeRunner, peer: Callable[..., Peer]
-) -> None:
+def test_an_event_that_nothing_waits_for_costs_one_turn(runner: NodeRunner, peer: Start) -> None:
     ear = Ear(runner, peer("talker"))
     other = peer("other")
     other.do("advertise", topic=ear.topic)
@@ -100,7 +99,7 @@ def test_an_event_that_nothing_waits_for_costs_one_turn(
 
 
 def test_a_publisher_with_another_quality_of_service_costs_one_turn(
-    runner: NodeRunner, peer: Callable[..., Peer]
+    runner: NodeRunner, peer: Start
 ) -> None:
     ear = Ear(runner, peer("talker"))
     peer("other").do("advertise", topic=ear.topic, reliability="best_effort")
@@ -108,17 +107,13 @@ def test_a_publisher_with_another_quality_of_service_costs_one_turn(
     assert ear.turned_for_nothing() <= FEW * sum(ear.events.values())
 
 
-def test_a_deadline_that_is_missed_costs_one_turn_each(
-    runner: NodeRunner, peer: Callable[..., Peer]
-) -> None:
+def test_a_deadline_that_is_missed_costs_one_turn_each(runner: NodeRunner, peer: Start) -> None:
     ear = Ear(runner, peer("talker"), Policies(depth=100, deadline=0.2), deadline=0.2)
     wait(lambda: ear.events["deadline"] >= 2)
     assert ear.turned_for_nothing() <= FEW * sum(ear.events.values())
 
 
-def test_a_publisher_whose_lease_ends_costs_one_turn(
-    runner: NodeRunner, peer: Callable[..., Peer]
-) -> None:
+def test_a_publisher_whose_lease_ends_costs_one_turn(runner: NodeRunner, peer: Start) -> None:
     policies = Policies(depth=100, liveliness="manual_by_topic", lease_duration=0.2)
     ear = Ear(runner, peer("talker"), policies, lease=0.2)
     before = ear.events["liveliness"]
@@ -127,9 +122,7 @@ def test_a_publisher_whose_lease_ends_costs_one_turn(
     assert ear.turned_for_nothing() <= FEW * sum(ear.events.values())
 
 
-def test_messages_that_are_lost_cost_one_turn_each(
-    runner: NodeRunner, peer: Callable[..., Peer]
-) -> None:
+def test_messages_that_are_lost_cost_one_turn_each(runner: NodeRunner, peer: Start) -> None:
     """Large ones in fragments, faster than sockets take them, with nothing sent again."""
     talker = peer("talker", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
     policies = Policies(reliability="best_effort", depth=5)
@@ -145,7 +138,7 @@ def test_messages_that_are_lost_cost_one_turn_each(
     assert ear.turned_for_nothing() <= FEW * sum(ear.events.values())
 
 
-def test_messages_in_fragments_cost_no_turn(runner: NodeRunner, peer: Callable[..., Peer]) -> None:
+def test_messages_in_fragments_cost_no_turn(runner: NodeRunner, peer: Start) -> None:
     talker = peer("talker", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
     ear = Ear(runner, talker, native=IMAGE, kind="Image")
     talker.do("publish", topic=ear.topic, first=1, count=20, size=2**20)
@@ -232,7 +225,7 @@ def test_what_is_discarded_leaves_nothing_with_the_node(runner: NodeRunner) -> N
 
 
 def test_what_ends_every_wait_and_is_never_taken_makes_the_loop_rest(
-    runner: NodeRunner, peer: Callable[..., Peer]
+    runner: NodeRunner, peer: Start
 ) -> None:
     ear = Ear(runner, peer("talker"))
     entity = next(iter(runner._entities.values()))[0]

@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from endpoints import ANSWERS
+from endpoints import ANSWERS, Start
 from peers import Peer
 from uoarm_rtm._shape import IdlScalar, IdlSequence, IdlStruct, IdlUnion, Shape
 from uoarm_rtm._types import Types
@@ -60,7 +60,7 @@ class RtmWorld(World):
         start: starts a component for one test alone.
     """
 
-    def __init__(self, nameserver: str, loop: Peer, start: Callable[..., Peer]) -> None:
+    def __init__(self, nameserver: str, loop: Peer, start: Start) -> None:
         self._nameserver = nameserver
         self._loop = loop
         self._start = start

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
-from endpoints import ANSWERS
+from endpoints import ANSWERS, Make, Start
 from peers import Peer
 from tests.profiles import load_profile  # type: ignore[import-not-found]
 from uoarm_rtm.nameserver import NameServer
@@ -39,7 +39,7 @@ def nameserver() -> Iterator[str]:
 
 
 @pytest.fixture
-def make_bridge(nameserver: str) -> Iterator[Callable[..., Bridge]]:
+def make_bridge(nameserver: str) -> Iterator[Make]:
     """Makes bridges and closes them all at the end."""
     made: list[Bridge] = []
     registry = Registry()
@@ -56,12 +56,12 @@ def make_bridge(nameserver: str) -> Iterator[Callable[..., Bridge]]:
 
 
 @pytest.fixture
-def bridge(make_bridge: Callable[..., Bridge]) -> Bridge:
+def bridge(make_bridge: Make) -> Bridge:
     return make_bridge()
 
 
 @pytest.fixture
-def peer(nameserver: str) -> Iterator[Callable[..., Peer]]:
+def peer(nameserver: str) -> Iterator[Start]:
     """Starts peer processes and ends them all, frozen ones too."""
     started: list[Peer] = []
 

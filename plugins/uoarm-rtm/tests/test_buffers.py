@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 from _uoarm_rtm_stubs import RTC
-from endpoints import endpoint, sink, source, stamped
+from endpoints import Start, endpoint, sink, source, stamped
 from hypothesis import given
 from hypothesis import strategies as st
 from peers import Peer
@@ -30,7 +29,6 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
 from uoarm.testing import patience, wait
 
-Start = Callable[..., Peer]
 OUT = Role.OUTPUT, "Talker.rtc", "out"
 IN = Role.INPUT, "Listener.rtc", "in"
 

@@ -11,20 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import endpoint, source
-from peers import Peer
+from endpoints import Make, Start, endpoint, source
 from test_leftovers import holding
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm import nameserver
 from uoarm_rtm.nameserver import NameServer
 
-from uoarm.bridge import Bridge
 from uoarm.cli import main
 from uoarm.errors import BridgeError
 from uoarm.model import Role
 from uoarm.testing import wait
 
-Start = Callable[..., Peer]
 PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
 
 
@@ -128,7 +125,7 @@ def test_parameters_are_written_and_checked(
 
 
 def test_connections_of_killed_processes_are_ended_and_no_others(
-    names: str, make_bridge: Callable[..., Bridge], peer: Start, run: Callable[..., Any]
+    names: str, make_bridge: Make, peer: Start, run: Callable[..., Any]
 ) -> None:
     first, second = peer("From", at=names), peer("Into", at=names)
     first.connect(names, "Into.rtc", "in", PUSH)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pytest
-from endpoints import endpoint
-from peers import Peer
+from endpoints import Start, endpoint
 from uoarm_rtm import _servants
 from uoarm_rtm._control import problem
 from uoarm_rtm._orb import Orb
@@ -20,7 +19,6 @@ from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Role
 from uoarm.testing import Background, patience, wait
 
-Start = Callable[..., Peer]
 AT = endpoint(Role.SERVICE, "Worker.rtc", "@configuration")
 SETS = {
     "default": {"gain": "1", "mode": "slow"},

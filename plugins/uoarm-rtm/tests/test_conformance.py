@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from conformance_world import KINDS, TYPES_IDL, RtmWorld, begin_loop
+from endpoints import Start
 from peers import Peer
 from tests.harness._hosts import SharesHost, shared_host  # type: ignore[import-not-found]
 
@@ -30,7 +31,7 @@ class TestRtmBridge(BridgeConformance):
     paths = ("long", "buffered", "pulled")
 
     @pytest.fixture
-    def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> Iterator[World]:
+    def world(self, loop: Peer, nameserver: str, peer: Start) -> Iterator[World]:
         made = RtmWorld(nameserver, loop, peer)
         yield made
         made.close()

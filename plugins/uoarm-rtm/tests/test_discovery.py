@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, checked, endpoint
-from peers import Peer
+from endpoints import ANSWERS, Make, Start, checked, endpoint
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm import _discovery, _naming, _orb
@@ -26,9 +25,6 @@ from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.errors import BridgeError, BridgeTimeoutError, ConfigurationError
 from uoarm.model import BridgeSpec, Health, Role
 from uoarm.testing import patience, wait
-
-Start = Callable[..., Peer]
-Make = Callable[..., Bridge]
 
 
 @pytest.fixture

@@ -16,13 +16,14 @@ from endpoints import (
     ANSWERS,
     HANGS_AFTER,
     SHORT,
+    Make,
+    Start,
     checked,
     endpoint,
     sink,
     source,
     stamped,
 )
-from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm import _peer, nameserver
@@ -37,8 +38,6 @@ from uoarm.model import Health, Role
 from uoarm.testing import Background, Collector, free_port, patience, wait
 
 HERE = Path(__file__).parent
-Start = Callable[..., Peer]
-Make = Callable[..., Bridge]
 OUT = endpoint(Role.OUTPUT, "Mortal.rtc", "out")
 IN = endpoint(Role.INPUT, "Mortal.rtc", "in")
 

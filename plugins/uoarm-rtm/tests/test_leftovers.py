@@ -7,13 +7,12 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from endpoints import ANSWERS, HANGS_AFTER, endpoint, source
-from peers import Peer
+from endpoints import ANSWERS, HANGS_AFTER, Make, Start, endpoint, source
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._journal import Journal, JournalEntry, journal
 
@@ -22,7 +21,6 @@ from uoarm.model import Role
 from uoarm.testing import patience, wait
 
 HERE = Path(__file__).parent
-Start = Callable[..., Peer]
 
 OPENS = """
 import os, signal, sys
@@ -91,7 +89,7 @@ def test_a_connector_says_who_made_it(bridge: Bridge, peer: Start) -> None:
 
 
 def test_what_a_killed_process_left_is_ended_by_the_next_and_nothing_else(
-    nameserver: str, make_bridge: Callable[..., Bridge], peer: Start, state: Path
+    nameserver: str, make_bridge: Make, peer: Start, state: Path
 ) -> None:
     first, second = peer("From"), peer("Into")
     properties = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
@@ -111,9 +109,7 @@ def test_what_a_killed_process_left_is_ended_by_the_next_and_nothing_else(
     assert (first.connectors(), second.connectors()) == ([0, 3], [1, 0])
 
 
-def test_one_end_may_have_died_with_us(
-    nameserver: str, make_bridge: Callable[..., Bridge], peer: Start
-) -> None:
+def test_one_end_may_have_died_with_us(nameserver: str, make_bridge: Make, peer: Start) -> None:
     first, second = peer("From"), peer("Into")
     with holding(nameserver) as killed:
         killed.kill()
@@ -126,7 +122,7 @@ def test_one_end_may_have_died_with_us(
 
 
 def test_what_hangs_is_left_to_the_process_after_the_next(
-    nameserver: str, make_bridge: Callable[..., Bridge], peer: Start
+    nameserver: str, make_bridge: Make, peer: Start
 ) -> None:
     first, second = peer("From"), peer("Into")
     with holding(nameserver) as killed:

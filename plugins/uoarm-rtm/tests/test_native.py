@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, HANGS_AFTER, of, shorten, stamped
+from endpoints import ANSWERS, HANGS_AFTER, Make, Start, of, shorten, stamped
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 
@@ -15,8 +15,6 @@ from uoarm import RobotManager
 from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Health, Role
 from uoarm.testing import wait
-
-Start = Callable[..., Peer]
 
 
 def linked_options(bridge: Bridge, out: dict[str, Any], into: dict[str, Any]) -> Channel | None:
@@ -53,7 +51,7 @@ FAULTS: dict[str, tuple[Callable[[Peer, Peer], object], str, str]] = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_end_at_fault_is_blamed_and_the_other_released(
-    make_bridge: Callable[..., Bridge], peer: Start, fault: str
+    make_bridge: Make, peer: Start, fault: str
 ) -> None:
     happen, blamed, words = FAULTS[fault]
     # What answers late on a busy machine is not at fault: a long limit where nothing hangs.

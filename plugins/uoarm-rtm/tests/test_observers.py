@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
 from typing import Any, cast
 
 import pytest
-from endpoints import of, source
-from peers import Peer
+from endpoints import Make, Start, of, source
 from test_leftovers import holding
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._observers import Observers
@@ -18,7 +16,6 @@ from uoarm.bridge import Bridge
 from uoarm.model import Health, Role
 from uoarm.testing import wait
 
-Start = Callable[..., Peer]
 NEVER = 3600.0  # between two checks that no component asks for
 
 
@@ -30,7 +27,7 @@ def observed(peer: Start, name: str) -> Any:
 
 
 def test_a_component_that_reports_its_failure_is_checked_at_once(
-    make_bridge: Callable[..., Bridge], peer: Start
+    make_bridge: Make, peer: Start
 ) -> None:
     component, events = observed(peer, "Worker"), Inbox()
     bridge = make_bridge(watch=NEVER)
@@ -46,7 +43,7 @@ def test_a_component_that_reports_its_failure_is_checked_at_once(
     assert component.observers() == []
 
 
-def test_both_ends_of_a_native_link_report(make_bridge: Callable[..., Bridge], peer: Start) -> None:
+def test_both_ends_of_a_native_link_report(make_bridge: Make, peer: Start) -> None:
     first, second, events = observed(peer, "From"), observed(peer, "Into"), Inbox()
     bridge = make_bridge(watch=NEVER)
     bridge.watch(events)
@@ -69,7 +66,7 @@ def test_an_observer_goes_with_the_last_channel(bridge: Bridge, peer: Start) -> 
 
 @pytest.mark.parametrize("observe", [True, False])
 def test_a_component_without_observers_is_checked(
-    make_bridge: Callable[..., Bridge], peer: Start, observe: bool
+    make_bridge: Make, peer: Start, observe: bool
 ) -> None:
     component, events = peer("Worker"), Inbox()
     component.take_observers(not observe)
@@ -85,7 +82,7 @@ def test_a_component_without_observers_is_checked(
 
 
 def test_an_observer_of_a_killed_process_is_removed_by_the_next(
-    nameserver: str, make_bridge: Callable[..., Bridge], peer: Start
+    nameserver: str, make_bridge: Make, peer: Start
 ) -> None:
     first, second = observed(peer, "From"), observed(peer, "Into")
     with holding(nameserver) as killed:

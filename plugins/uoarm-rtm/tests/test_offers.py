@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, endpoint, sink, source, stamped
-from peers import Peer
+from endpoints import ANSWERS, Make, Start, endpoint, sink, source, stamped
 from plain import plain
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.structures import closed  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
-from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.model import OfferState, Role
 from uoarm.testing import MemoryBridge, patience, wait
 
 IDL = str(Path(__file__).parent / "service.idl")
 PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
-Make = Callable[..., Bridge]
 ROBOT = """
 version: 1
 bridges: {rtm: {}, one: {plugin: memory}}
@@ -122,7 +119,7 @@ def world(make_bridge: Make) -> Iterator[World]:
 
 
 def test_ports_of_an_offer_are_found_and_used_by_other_components(
-    world: World, make_bridge: Make, peer: Callable[..., Peer], nameserver: str
+    world: World, make_bridge: Make, peer: Start, nameserver: str
 ) -> None:
     world.offer()
     theirs = make_bridge("other", idl=IDL)
@@ -160,7 +157,7 @@ def test_ports_of_an_offer_are_found_and_used_by_other_components(
 
 
 def test_types_are_derived_from_structures_and_their_idl_is_at_the_port(
-    make_bridge: Make, peer: Callable[..., Peer], nameserver: str
+    make_bridge: Make, peer: Start, nameserver: str
 ) -> None:
     rtm, one = make_bridge(component="Robot"), MemoryBridge("one")
     pose, goal = one.emitter("pose", POSE), one.taker("goal", GOAL)
@@ -189,7 +186,7 @@ def test_types_are_derived_from_structures_and_their_idl_is_at_the_port(
 
 
 def test_an_interface_is_derived_from_the_structures_of_a_service(
-    make_bridge: Make, peer: Callable[..., Peer], nameserver: str
+    make_bridge: Make, peer: Start, nameserver: str
 ) -> None:
     rtm, one = make_bridge(component="Robot"), MemoryBridge("one")
     handed: list[Any] = []

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
 from attrs import evolve
-from endpoints import endpoint, sink, source, stamped
-from peers import Peer
+from endpoints import Make, Start, endpoint, sink, source, stamped
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._bridge import RtmBridge
 from uoarm_rtm._channels import InPortSink
@@ -21,7 +19,6 @@ from uoarm.model import CommandPolicy, Role, StopMessage
 from uoarm.testing import wait
 
 IDL = str(Path(__file__).parent / "types.idl")
-Start = Callable[..., Peer]
 
 
 @pytest.mark.parametrize("options", [
@@ -120,7 +117,7 @@ def test_a_message_that_does_not_fit_never_leaves(bridge: Bridge, peer: Start, n
     assert component.received() == []
 
 
-def test_user_types_and_images_pass(make_bridge: Callable[..., Bridge], peer: Start) -> None:
+def test_user_types_and_images_pass(make_bridge: Make, peer: Start) -> None:
     bridge = make_bridge(idl=IDL)
     odd = peer("Odd", "IDL:Odd/Deep:1.0", IDL)
     camera = peer("Camera", "IDL:RTC/CameraImage:1.0")

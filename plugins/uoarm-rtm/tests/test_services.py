@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from _uoarm_rtm_stubs import RTC
 from attrs import evolve
-from endpoints import HANGS_AFTER, endpoint, sink, source, stamped
+from endpoints import HANGS_AFTER, Make, Start, endpoint, sink, source, stamped
 from jsonschema import Draft202012Validator
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
@@ -29,8 +29,6 @@ from uoarm.model import Health, MessageStructure, Role
 from uoarm.testing import Background, patience, wait
 
 IDL = str(Path(__file__).parent / "service.idl")
-Start = Callable[..., Peer]
-Make = Callable[..., Bridge]
 MOVE = endpoint(Role.SERVICE, "Robot.rtc", "served", "Arm::Mover::move")
 PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from endpoints import endpoint, sink, source, stamped
+from endpoints import Make, Start, endpoint, sink, source, stamped
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm import _orb
@@ -16,8 +15,6 @@ from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Health, Role
 from uoarm.testing import Collector, wait
 
-Start = Callable[..., Peer]
-Make = Callable[..., Bridge]
 OCTETS = "IDL:RTC/TimedOctetSeq:1.0"
 USUAL = 2 << 20  # the limit of omniORB where no other is configured
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, of, sink, source, stamped
-from peers import Peer
+from endpoints import ANSWERS, Make, Start, of, sink, source, stamped
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._orb import calls
 
@@ -19,7 +17,6 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import Background, patience, wait
 
-Start = Callable[..., Peer]
 PORTS = {Role.OUTPUT: "out", Role.INPUT: "in"}
 
 
@@ -88,7 +85,7 @@ def test_a_failed_component_is_reset_where_that_is_allowed(bridge: Bridge, peer:
 
 
 def test_one_that_hangs_as_it_is_deactivated_keeps_no_other_from_being_activated(
-    make_bridge: Callable[..., Bridge], peer: Start
+    make_bridge: Make, peer: Start
 ) -> None:
     bridge = make_bridge(watch=0)
     hung, healthy = peer("Hung"), peer("Healthy")
@@ -106,7 +103,7 @@ def test_one_that_hangs_as_it_is_deactivated_keeps_no_other_from_being_activated
 
 
 def test_a_channel_that_ends_waits_for_no_component_that_another_one_needs(
-    make_bridge: Callable[..., Bridge], peer: Start
+    make_bridge: Make, peer: Start
 ) -> None:
     bridge = make_bridge(watch=0)
     peer("Shared")

@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
 
 import pytest
 from _uoarm_rtm_stubs import RTC
-from endpoints import ANSWERS, HANGS_AFTER, checked, of, sink
-from peers import Peer
+from endpoints import ANSWERS, HANGS_AFTER, Make, Start, checked, of, sink
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._health import PortFault, PortStatus, blamed
 from uoarm_rtm._peer import Connector
 from uoarm_rtm._servants import Callbacks, ComponentLifecycle
 from uoarm_rtm._watch import Check, CheckQueue, Ticker
 
-from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
 from uoarm.testing import Background, patience, wait
-
-Start = Callable[..., Peer]
-Make = Callable[..., Bridge]
 
 
 def causes(events: Inbox, words: str) -> set[str]:
