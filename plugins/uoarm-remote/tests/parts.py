@@ -12,29 +12,21 @@ Numbers = Annotated[int, Range(-(2**63), 2**63 - 1)]
 
 
 class Pose(TypedDict):
-    """Where something is."""
-
     x: float
     y: float
     name: str
 
 
 class Image(TypedDict):
-    """A picture."""
-
     width: Annotated[int, Range(0, 2**32 - 1)]
     data: bytes
 
 
 class Value(TypedDict):
-    """A number with a name."""
-
     value: Numbers
 
 
 class Speed(TypedDict):
-    """What moves."""
-
     speed: float
 
 
@@ -48,7 +40,6 @@ class Stage:
         self.changed = threading.Condition()
 
     def note(self, message: Any) -> None:
-        """Keep what a component was given."""
         with self.changed:
             self.taken.append(message)
             self.changed.notify_all()
@@ -66,22 +57,18 @@ def renew() -> None:
 
 
 def integers(message: Value) -> Value:
-    """Give back what comes."""
     return message
 
 
 def text(message: str) -> str:
-    """Give back what comes."""
     return message
 
 
 def pose(message: Pose) -> Pose:
-    """Give back what comes."""
     return message
 
 
 def image(message: Image) -> Image:
-    """Give back what comes."""
     return message
 
 
@@ -92,27 +79,22 @@ def _until_ended(name: str) -> Iterator[Value]:
 
 
 def first() -> Iterator[Value]:
-    """Give one value, and fail when it is to."""
     return _until_ended("first")
 
 
 def second() -> Iterator[Value]:
-    """Give one value, and fail when it is to."""
     return _until_ended("second")
 
 
 def double(request: Value) -> Value:
-    """Answer with twice the number."""
     return {"value": 2 * request["value"]}
 
 
 def length(request: str) -> Value:
-    """Answer with the number of characters."""
     return {"value": len(request)}
 
 
 def failing(request: Value) -> Value:
-    """Fail."""
     raise ValueError(f"{request} cannot be doubled")
 
 
@@ -124,7 +106,6 @@ def silent(request: Value) -> Value:
 
 
 def drive(command: Speed) -> None:
-    """Move."""
     stage.note(command["speed"])
 
 

@@ -22,7 +22,7 @@ from uoarm.model import Endpoint, Health, Message, MessageStructure, Role, StopO
 from uoarm_remote._channels import FunctionSink, FunctionSource, FunctionStreams
 from uoarm_remote._discovery import described, discovered
 from uoarm_remote._link import ManagerLink
-from uoarm_remote._options import FunctionOptions, ManagerOptions, mistake
+from uoarm_remote._options import FunctionOptions, ManagerOptions, check_address
 
 
 class RemoteManagerBridge(Bridge):
@@ -125,8 +125,7 @@ def _outcome(report: Mapping[str, Any]) -> StopOutcome:
 
 def _options(endpoint: Endpoint) -> FunctionOptions:
     with reading_endpoint(endpoint):
-        if wrong := mistake(endpoint.address, endpoint.options):
-            raise ValueError(wrong)
+        check_address(endpoint.address)
     if endpoint.is_offered:
         text = f"{endpoint}: a function is offered by `export:` of this configuration, not here"
         raise BridgeError(text, FailureReason.UNSUPPORTED)

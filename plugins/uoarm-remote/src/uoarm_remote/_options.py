@@ -6,8 +6,7 @@ import re
 
 from attrs import frozen
 
-from uoarm.bridge import BridgeOptions, EndpointOptions, TlsOptions, option
-from uoarm.model import Options
+from uoarm.bridge import BridgeOptions, EndpointOptions, TlsOptions, address_check, option
 
 _SECONDS = {"type": "number", "exclusiveMinimum": 0}
 _FINGERPRINT = {"type": "string", "pattern": "^([0-9A-Fa-f]{2}:?){31}[0-9A-Fa-f]{2}$"}
@@ -76,9 +75,11 @@ class FunctionOptions(EndpointOptions):
     )
 
 
-def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address and its options, or ""."""
-    del options
+def check_address(address: tuple[str, ...]) -> None:
+    """Raise ValueError for what is no address."""
     if not 1 <= len(address) <= _PARTS or not all(map(_NAME.fullmatch, address)):
-        return f"expected the name of a function, and of one of its ports, got {list(address)}"
-    return ""
+        text = "expected the name of a function, and of one of its ports, got"
+        raise ValueError(f"{text} {list(address)}")
+
+
+mistake = address_check(check_address)

@@ -12,10 +12,11 @@ from uoarm.bridge import (
     BridgeOptions,
     DeclaredOptions,
     EndpointOptions,
+    address_check,
     option,
     reading_endpoint,
 )
-from uoarm.model import Endpoint, Options, Role
+from uoarm.model import Endpoint, Role
 from uoarm_rocos._catalogue import NAME, Direction
 
 _TEXT: Mapping[str, Any] = {"type": "string"}
@@ -152,12 +153,12 @@ class RocosOptions(BridgeOptions):
     )
 
 
-def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address, or ""."""
-    del options  # there are none
+def _check(address: tuple[str, ...]) -> None:
     if len(address) != 2 or not NAME.fullmatch(address[1]):  # noqa: PLR2004 - as the text says
-        return f"expected [device, API name], got {list(address)}"
-    return ""
+        raise ValueError(f"expected [device, API name], got {list(address)}")
+
+
+mistake = address_check(_check)
 
 
 def address_of(endpoint: Endpoint) -> tuple[str, str, Direction | None]:
@@ -169,8 +170,7 @@ def address_of(endpoint: Endpoint) -> tuple[str, str, Direction | None]:
     with reading_endpoint(endpoint):
         if endpoint.options:
             PortOptions.of(endpoint.options)
-        if wrong := mistake(endpoint.address, endpoint.options):
-            raise ValueError(wrong)
+        _check(endpoint.address)
     device, api = endpoint.address
     directions = {Role.OUTPUT: Direction.OUTPUT, Role.INPUT: Direction.INPUT}
     return device, api, directions.get(endpoint.role)
