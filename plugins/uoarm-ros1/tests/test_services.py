@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 from typing import Any
 
@@ -90,17 +91,25 @@ class Quits(str):
         raise SystemExit
 
 
-def test_a_call_that_waits_for_its_reply_ends_as_the_bridge_closes(master: Master) -> None:
-    peer = master.peer("slow")
-    peer.do("serve", service="/slow", type=SET, how="silent")
+def test_a_call_that_still_connects_ends_as_the_bridge_closes(master: Master) -> None:
+    """As those that wait for a reply: more than the kernel connects to a server that is stopped."""
+    peer = master.peer("stopped")
+    peer.do("serve", service="/stopped", type=SET)
     with bridge_to(master) as bridge:
-        at = service("/slow")
-        call = Background(lambda: bridge.call(at, {"data": True}, timeout=2 * patience()))
-        calls: Any = bridge
-        wait(lambda: any(way.cancel for way in tuple(calls._pending_calls._calls)))
+        at = service("/stopped")
+        bridge.call(at, {"data": True}, timeout=patience())
+        peer.send_signal(signal.SIGSTOP)
+        limit = 4 * patience()
+        calls = [
+            Background(lambda: bridge.call(at, {"data": True}, timeout=limit)) for _ in range(20)
+        ]
+        under_way = bridge._pending_calls
+        wait(lambda: len(under_way) == 20)
         bridge.close(timeout=patience())
-        with pytest.raises(BridgeError, match=r"the call was cancelled|the bridge was closed"):
-            call.result()
+        for call in calls:
+            with pytest.raises(BridgeError, match=r"the call was cancelled|the bridge was closed"):
+                call.result()
+        wait(lambda: not len(under_way), "a call goes on", patience())
     peer.kill()
 
 

@@ -30,17 +30,38 @@ _RESULT = 3
 T = TypeVar("T")
 
 
-def connect(host: str, port: int, deadline: float) -> socket.socket:
+def connect(
+    host: str,
+    port: int,
+    deadline: float,
+    connecting: Callable[[socket.socket], object] = lambda _: None,
+) -> socket.socket:
     """Return a connection.
 
+    Args:
+        host: of the server.
+        port: of the server.
+        deadline: a time of `time.monotonic`.
+        connecting: gets each socket before it connects, so that another thread may shut it down.
+
     Raises:
-        OSError: there is none by the deadline, which is a time of `time.monotonic`.
+        OSError: there is none by the deadline, or it was shut down.
     """
-    left = max(0.001, deadline - time.monotonic())
-    connection = socket.create_connection((host, port), left)
-    close_in_children(connection)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return connection
+    failure = OSError("it has no address")
+    for family, kind, protocol, _, place in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        connection = socket.socket(family, kind, protocol)
+        try:
+            connecting(connection)
+            connection.settimeout(max(0.001, deadline - time.monotonic()))
+            connection.connect(place)
+        except OSError as error:
+            connection.close()
+            failure = error
+            continue
+        close_in_children(connection)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return connection
+    raise failure
 
 
 def failure_text(what: str, host: str, port: int, error: Exception) -> str:

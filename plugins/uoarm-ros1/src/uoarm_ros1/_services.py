@@ -62,9 +62,14 @@ def probe_service(node: Node, service: str) -> tuple[str, str]:
 
 
 def _open(
-    host: str, port: int, service: str, header: Mapping[str, str], deadline: float
+    host: str,
+    port: int,
+    service: str,
+    header: Mapping[str, str],
+    deadline: float,
+    connecting: Callable[[socket.socket], object] = lambda _: None,
 ) -> tuple[socket.socket, dict[str, str]]:
-    """Return a connection to a server, and what it answered.
+    """Return a connection to a server, and what it answered; `connecting` as with `connect`.
 
     Raises:
         BridgeError: it cannot be reached, or refuses.
@@ -72,7 +77,7 @@ def _open(
     what = f"the server of {service}"
     connection = None
     try:
-        connection = connect(host, port, deadline)
+        connection = connect(host, port, deadline, connecting)
         connection.settimeout(max(_SHORTEST, deadline - time.monotonic()))
         connection.sendall(encode_header(header))
         # Exactly the header: what follows it are replies.
@@ -107,6 +112,42 @@ def _receive_exactly(connection: socket.socket, count: int, deadline: float) -> 
     return bytes(octets)
 
 
+class _CallSocket:
+    """The connection of one call, from before it is made until the call is over."""
+
+    def __init__(self) -> None:
+        # Between the call and who cancels it: afterwards the socket may be another call's.
+        self._lock = threading.Lock()
+        self._socket: socket.socket | None = None
+        self._is_over = self.is_cancelled = False
+
+    def use(self, made: socket.socket) -> None:
+        """Have this one shut down when the call is cancelled.
+
+        Raises:
+            ConnectionAbortedError: it is.
+        """
+        with self._lock:
+            self._socket = made
+            if self.is_cancelled:
+                raise ConnectionAbortedError
+
+    def cancel(self) -> bool:
+        """End the call, also while it connects; False, as the server cannot be notified."""
+        with self._lock:
+            if not self._is_over:
+                self.is_cancelled = True
+                if self._socket is not None:
+                    with suppress(OSError):
+                        self._socket.shutdown(socket.SHUT_RDWR)
+        return False
+
+    def end(self) -> None:
+        """Leave the socket alone from now on."""
+        with self._lock:
+            self._is_over = True
+
+
 class Caller:
     """A client of one service. Several calls at a time have a connection each."""
 
@@ -139,33 +180,29 @@ class Caller:
         """
         deadline = time.monotonic() + timeout
         request = self._write(message)
-        connection = self._take() or self._connect(endpoint, deadline)
-        is_cancelled = is_over = False
-
-        def cancel() -> bool:
-            nonlocal is_cancelled
-            with self._lock:  # later, the connection may be another call's
-                if not is_over:
-                    is_cancelled = True
-                    with suppress(OSError):
-                        connection.shutdown(socket.SHUT_RDWR)
-            return False  # the server cannot be notified
-
+        own = _CallSocket()
+        connection = None
         try:
-            with cancelling(cancel):
+            with cancelling(own.cancel):
                 try:
+                    connection = self._take()
+                    if connection is not None:
+                        own.use(connection)
+                    else:
+                        connection = self._connect(endpoint, deadline, own.use)
                     succeeded, reply = self._exchange(connection, request, deadline)
                 finally:
-                    with self._lock:
-                        is_over = True
-        except TimeoutError:
-            connection.close()
-            text = f"{endpoint}: no reply within {timeout:g} s"
-            raise BridgeTimeoutError(text) from None
-        except (OSError, ProtocolError) as error:
-            connection.close()
-            if is_cancelled:
+                    own.end()
+        except (OSError, ProtocolError, BridgeError) as error:
+            if connection is not None:
+                connection.close()
+            if own.is_cancelled:
                 raise BridgeError(f"{endpoint}: the call was cancelled") from None
+            if isinstance(error, BridgeError):  # there is no connection
+                raise
+            if isinstance(error, TimeoutError):
+                text = f"{endpoint}: no reply within {timeout:g} s"
+                raise BridgeTimeoutError(text) from None
             text = f"{endpoint}: the server ended the connection before it replied: {error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         self._give_back(connection)
@@ -186,11 +223,13 @@ class Caller:
         for connection in idle:
             connection.close()
 
-    def _connect(self, endpoint: Endpoint, deadline: float) -> socket.socket:
+    def _connect(
+        self, endpoint: Endpoint, deadline: float, connecting: Callable[[socket.socket], object]
+    ) -> socket.socket:
         host, port = self._node.master.service_address(self._service)
         header = service_header(self._node.name, self._service, self._kind.md5, persistent=True)
         try:
-            connection, _ = _open(host, port, self._service, header, deadline)
+            connection, _ = _open(host, port, self._service, header, deadline, connecting)
         except BridgeError as error:
             raise BridgeError(f"{endpoint}: {error}", error.reason) from error
         return connection
