@@ -21,7 +21,7 @@ from uoarm._host.transport.liveness import Heartbeat
 from uoarm.bridge import HealthEvent
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health, Role
-from uoarm.testing import patience, slowness, wait
+from uoarm.testing import ResourceSnapshot, patience, slowness, wait
 
 pytestmark = pytest.mark.usefixtures("nothing_is_left")
 
@@ -198,6 +198,36 @@ def test_a_host_that_gets_no_heartbeat_is_ended(
     monkeypatch.setattr(Heartbeat, "start", refuse)
     with pytest.raises(RuntimeError, match="new thread"):
         hosted.bridge(tmp_path)
+
+
+def test_a_host_for_which_there_is_no_thread_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever of its threads it is: the one that reads what it prints begins after the host."""
+    starts, names = threading.Thread.start, list[str]()
+
+    def start(thread: threading.Thread) -> None:
+        if thread.name.endswith("-far") and thread.name not in names:
+            names.append(thread.name)
+            raise RuntimeError("can't start new thread")
+        starts(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    before = ResourceSnapshot()
+    failures = 0
+    while True:
+        try:
+            bridge = hosted.bridge(tmp_path)
+        except (BridgeError, RuntimeError) as error:
+            assert "can't start new thread" in str(error)
+            failures += 1
+            before.check(patience())
+        else:
+            bridge.close()
+            break
+    kinds = ("watch", "flows", "link", "host", "log", "heartbeat")
+    assert names == [f"uoarm-{kind}-far" for kind in kinds]
+    assert failures == len(kinds)
 
 
 def test_a_kill_while_it_closes_does_not_stop_the_closing(tmp_path: Path) -> None:

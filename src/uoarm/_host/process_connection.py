@@ -78,8 +78,12 @@ class HostProcess:
         self._waiter = threading.Thread(
             target=self._run, args=(started,), name=f"uoarm-host-{name}", daemon=True
         )
-        self._waiter.start()
-        process = started.get()
+        process: subprocess.Popen[bytes] | Exception
+        try:
+            self._waiter.start()
+            process = started.get()
+        except RuntimeError as error:  # the system gives no more threads
+            process = error
         if isinstance(process, Exception):
             text = f"bridge host {name!r} could not be started: {process}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from process
@@ -175,14 +179,15 @@ class HostProcess:
             assert isinstance(process.stdin, BufferedWriter), "stdin is a pipe"
             # A child that is forked would hold open what shows the host that we died.
             close_in_children(process.stdin.raw)
+            reader = threading.Thread(
+                target=self._read, args=(process,), name=f"uoarm-log-{self._name}", daemon=True
+            )
+            with on_failure(self._discard, process):
+                reader.start()
         except Exception as error:  # noqa: BLE001 - such as a variable that no process can have
             started.put(error)
             return
         started.put(process)
-        reader = threading.Thread(
-            target=self._read, args=(process,), name=f"uoarm-log-{self._name}", daemon=True
-        )
-        reader.start()
         status: int | None = None
         if sys.platform == "linux":
             # The number of a process that was not waited for is not given to another one,
@@ -199,6 +204,11 @@ class HostProcess:
         reader.join(_TERMINATE_SECONDS)
         self._exited(_how(status))
         reader.join()
+
+    def _discard(self, process: subprocess.Popen[bytes]) -> None:
+        """End a process of which none knows yet, and free its pipes."""
+        self._send(process.pid, signal.SIGKILL)
+        process.__exit__(None, None, None)
 
     def _read(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout is not None, "stdout is a pipe"
@@ -351,12 +361,13 @@ class ProcessConnection(HostConnection):
         variables = {**KEEPING, **settings.process_variables(os.environ)}
         counted, near, far = _shared_with_host(spec.name)
         self.counters = SharedCounters(counted.fileno(), gives=True)
-        self.transport = SocketTransport(near, spec.name)
-        self.transport.watch_alive(keys.ALIVE, self._liveness.seen)
-        self.transport.answer(keys.HEALTH, on_health)
-        with on_failure(self.close, None):
-            with counted, closing(far):  # the host has inherited them, or there is none
-                passed = *far.descriptors, counted.fileno()
+        with counted, closing(far):  # the host has inherited them, or there is none
+            with on_failure(self.counters.close):
+                self.transport = SocketTransport(near, spec.name)
+            self.transport.watch_alive(keys.ALIVE, self._liveness.seen)
+            self.transport.answer(keys.HEALTH, on_health)
+            passed = *far.descriptors, counted.fileno()
+            with on_failure(self.close, None):
                 self._started = HostProcess(spec.name, command, variables, self._exited, passed)
                 self._started.send_orders(
                     {
@@ -368,6 +379,7 @@ class ProcessConnection(HostConnection):
                         "log_level": self._started.log_level,
                     }
                 )
+        with on_failure(self.close, None):
             self._await_token(deadline)
             self.greeting = self._greet(deadline)
             self._begin_heartbeat(

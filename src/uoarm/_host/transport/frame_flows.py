@@ -17,7 +17,7 @@ from queue import Empty, SimpleQueue
 
 from uoarm._host.transport.codec import Frame
 from uoarm._host.transport.frames import FrameReader, FrameWriter, Received
-from uoarm._raised import LimitedLog, foreign
+from uoarm._raised import LimitedLog, foreign, on_failure
 from uoarm.errors import BridgeTimeoutError
 
 Take = Callable[[Frame, bytes], object]
@@ -156,12 +156,13 @@ class FrameFlows:
         self._taken = 0  # how often it has begun to take something
         self._is_watched = threading.Event()
         self._closing = threading.Event()
-        self._watching = threading.Thread(
+        self._reading = self._watching = threading.Thread(
             target=self._watch, name=f"uoarm-watch-{name}", daemon=True
         )
-        self._watching.start()
-        with self._lock:  # the new thread waits for it, so `_reading` is set before it reads
-            self._reading = self._start_reading()
+        with on_failure(self.close):
+            self._watching.start()
+            with self._lock:  # the new thread waits for it, so `_reading` is set before it reads
+                self._reading = self._start_reading()
 
     def write(self, key: str, header: bytes, payload: Frame, seconds: float) -> None:
         """Write a frame, after what is left of the one before.
@@ -213,7 +214,8 @@ class FrameFlows:
             # One that is in a `take` is not waited for: that may hang.
             reading = None if self._taking is not None else self._reading
         for thread in (reading, self._watching):
-            if thread is not None and thread is not threading.current_thread():
+            has_begun = thread is not None and thread.ident is not None
+            if thread is not None and has_begun and thread is not threading.current_thread():
                 thread.join(_JOIN_SECONDS)
         for subscription in list(self._subscriptions.values()):
             subscription.end()

@@ -28,7 +28,7 @@ from uoarm._host.transport.transport import (
     answer_to,
     read_answer,
 )
-from uoarm._raised import LimitedLog
+from uoarm._raised import LimitedLog, on_failure
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
 _ASK, _ANSWER, _NOTIFY, _TOKEN = range(4)
@@ -66,9 +66,11 @@ class SocketTransport(Transport):
         self._listening: dict[str, Callable[[bytes], None]] = {}
         self._tokens: set[str] = set()
         self._watching: dict[str, Callable[[bool], None]] = {}
-        self._flows = FrameFlows(sockets.incoming, sockets.outgoing, name, self._shut)
         self._thread = threading.Thread(target=self._run, name=f"uoarm-link-{name}", daemon=True)
-        self._thread.start()
+        with on_failure(self._writer.close):  # where the system gives no more threads
+            self._flows = FrameFlows(sockets.incoming, sockets.outgoing, name, self._shut)
+            with on_failure(self._flows.close):
+                self._thread.start()
 
     def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
         """Send a request and return the answer."""
