@@ -23,7 +23,7 @@ from uoarm import RobotManager
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import CommandPolicy, Health, MessageStructure, StopMessage
-from uoarm.testing import slowness
+from uoarm.testing import ResourceSnapshot, slowness
 
 ANY = MessageStructure(True)
 ROBOT_XML = Path(uoarm_rocos.__file__).parent / "simulate" / "robot.xml"
@@ -33,6 +33,26 @@ ROBOT_XML = Path(uoarm_rocos.__file__).parent / "simulate" / "robot.xml"
 def robot(request: pytest.FixtureRequest) -> Iterator[tuple[Bridge, Events]]:
     with served(SimulatedRobot(), request.param) as url, bridged(robot={"url": url}) as made:
         yield made
+
+
+def test_a_device_for_which_there_is_no_thread_leaves_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    starts = threading.Thread.start
+
+    def start(thread: threading.Thread) -> None:
+        if thread.name == "uoarm-robot":
+            raise RuntimeError("can't start new thread")
+        starts(thread)
+
+    profile: dict[str, object] = {"url": "tcp://127.0.0.1:1"}
+    for options in (profile, {**profile, "driver": "nonin-2"}):
+        before = ResourceSnapshot()
+        with bridged(robot=options) as (bridge, _), monkeypatch.context() as patch:
+            patch.setattr(threading.Thread, "start", start)
+            with pytest.raises(BridgeError, match="can't start new thread"):
+                bridge.describe(endpoint("robot", "odometry"))
+        before.check()
 
 
 def test_describe_gives_structures_of_the_devices_own_catalogue(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from typing import Any
 
 import pytest
@@ -13,9 +15,10 @@ from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros1 import _bridge, _master, _node, _subscription
 from uoarm_ros1._master import call_api
 
+from uoarm.bridge import ServiceStructures
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health, MessageStructure, Role
-from uoarm.testing import Background, Collector, patience, slowness, wait
+from uoarm.testing import Background, Collector, ResourceSnapshot, patience, slowness, wait
 
 SET = "std_srvs/SetBool"
 ADD = "actionlib/TwoIntsAction"
@@ -89,6 +92,44 @@ class Quits(str):
 
     def encode(self, *_: object) -> Any:
         raise SystemExit
+
+
+@contextmanager
+def no_thread(name: str) -> Iterator[None]:
+    """Have the system give no thread of this name, or one that begins like it."""
+    starts = threading.Thread.start
+
+    def start(thread: threading.Thread) -> None:
+        if thread.name.startswith(name):
+            raise RuntimeError("can't start new thread")
+        starts(thread)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start)
+        yield
+
+
+def test_what_gets_no_thread_is_refused_and_leaves_nothing(master: Master, lasting: Peer) -> None:
+    before = ResourceSnapshot()
+    refused = pytest.raises(BridgeError, match="can't start new thread")
+    with no_thread("uoarm-ros1-watch"), refused, bridge_to(master):
+        pass
+    before.check()
+    lasting.do("advertise", topic="/threads", type="std_msgs/String")
+    with bridge_to(master) as bridge:
+        at, inbox = output("/threads"), Collector()
+        structure = bridge.describe(at).message
+        assert structure is not None
+        with no_thread("uoarm-ros1-/threads"), refused:
+            bridge.open_source(at, structure, inbox)
+        with closing(bridge.open_source(at, structure, inbox)):
+            lasting.publish("/threads", type="std_msgs/String", values={"data": "x"})
+            inbox.wait(1, patience())
+        structures = ServiceStructures(MessageStructure({}), MessageStructure({}))
+        channel = bridge.serve(service("/threaded", SET), lambda message: message, structures)
+        with no_thread("uoarm-ros1-/threaded"), pytest.raises(BridgeError):
+            bridge.call(service("/threaded"), {"data": True}, timeout=patience())
+        assert channel.facts()["clients"] == 0
 
 
 def test_a_call_that_still_connects_ends_as_the_bridge_closes(master: Master) -> None:

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from tests.processes import ForkedProgram, run_python  # type: ignore[import-not
 from uoarm_rtm import _orb
 from uoarm_rtm._orb import Orb, deliveries
 
+from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.testing import Background, patience, wait
 
@@ -155,6 +157,48 @@ def test_a_call_that_did_not_come_back_in_time_is_not_waited_for_again() -> None
         assert not guard.end(0.0)
         assert not Background(lambda: guard.end(2 * patience())).result()
     assert guard.end(0.0)
+
+
+@pytest.mark.parametrize("kind", ["end", "watch"])
+def test_a_bridge_for_which_there_is_no_thread_leaves_no_orb(
+    kind: str, make_bridge: Callable[..., Bridge], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts = threading.Thread.start
+
+    def start(thread: threading.Thread) -> None:
+        if thread.name == f"uoarm-rtm-{kind}":
+            raise RuntimeError("can't start new thread")
+        starts(thread)
+
+    assert _orb._shared.users == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start)
+        with pytest.raises(BridgeError, match="thread"):
+            make_bridge()
+    assert _orb._shared.users == 0
+    bridge = make_bridge()
+    running = _orb._shared.running
+    assert running is not None
+    assert running.ending is not None, "it is taken for the application's own"
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start)
+        bridge.close(timeout=patience())
+    wait(lambda: omniORB.orb is None)
+
+
+def test_a_bridge_closes_where_no_thread_is_left_for_its_servants(
+    make_bridge: Callable[..., Bridge], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    first, _ = make_bridge("one"), make_bridge("two")
+    shared: Any = first
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refuse)
+        shared._orb.close()
+    with pytest.raises(BridgeError):  # they are gone
+        shared._orb.serve(Inlet())
 
 
 def test_what_is_cut_are_connections_to_where_calls_went() -> None:

@@ -284,7 +284,8 @@ class ProfileDevice(LineDevice):
             name, wire.transport, self._conversation, timing.backoff, is_shared=wire.prompt
         )
         self._conversation.line = self._line
-        self._line.start()
+        with on_failure(self._deliveries.close):  # the system gives no more threads
+            self._line.start()
 
     def catalogue(self, timeout: float) -> DeviceCatalogue:
         """Return what the device offers now."""

@@ -331,9 +331,9 @@ class ServedAction(Channel):
                 made = TopicSubscription(wanted, node.peers, take, _ignore_header, _ignore_end)
                 self._subscriptions.append(made)
                 node.subscribe(made)
-        threading.Thread(
-            target=self._publish_status, name=f"uoarm-ros1-{name}-status", daemon=True
-        ).start()
+            threading.Thread(
+                target=self._publish_status, name=f"uoarm-ros1-{name}-status", daemon=True
+            ).start()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters of goals."""

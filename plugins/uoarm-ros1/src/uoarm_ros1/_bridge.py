@@ -25,6 +25,7 @@ from uoarm.bridge import (
     Sink,
     Source,
     did_you_mean,
+    on_failure,
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
@@ -89,12 +90,13 @@ class Ros1Bridge(Bridge):
         self._served: WeakSet[ServedService] = WeakSet()
         self._closing = threading.Event()
         self._records = LimitedLog(_log)
-        self._rosout = Rosout(self._node, self._types) if options.rosout else None
-        self._clock = Clock(self._node, self._types) if options.use_sim_time else None
         self._watch = threading.Thread(
             target=self._look_around, name=f"uoarm-ros1-watch-{name}", daemon=True
         )
-        self._watch.start()
+        with on_failure(self._node.close):  # a bridge that was never made is never closed
+            self._rosout = Rosout(self._node, self._types) if options.rosout else None
+            self._clock = Clock(self._node, self._types) if options.use_sim_time else None
+            self._watch.start()
 
     def report(
         self,

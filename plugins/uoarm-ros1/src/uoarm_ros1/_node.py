@@ -185,7 +185,7 @@ class Node:
         """Connect a subscription to the publishers of its topic, from now on.
 
         Raises:
-            BridgeError: the master cannot be reached.
+            BridgeError: the master cannot be reached, or there is no thread for a publisher.
         """
         topic, kind = subscription.wanted.topic, subscription.wanted.kind
         with self._lock:
@@ -197,7 +197,8 @@ class Node:
             self._api.subscriptions[topic] = kind or "*"
         with on_failure(self.unsubscribe, subscription):
             call = partial(self.master.register_subscriber, topic, kind)
-            subscription.update(self._register("subscriber", topic, call))
+            if failure := subscription.update(self._register("subscriber", topic, call)):
+                raise BridgeError(failure, FailureReason.UNAVAILABLE)
 
     def unsubscribe(self, subscription: TopicSubscription) -> None:
         """Close a subscription."""

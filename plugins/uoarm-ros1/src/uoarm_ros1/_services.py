@@ -373,7 +373,13 @@ class ServedService(Channel):
             name=f"uoarm-ros1-{self.name}",
             daemon=True,
         )
-        thread.start()
+        try:
+            thread.start()
+        except RuntimeError:  # the system gives no more
+            with self._lock:
+                self._clients.pop(connection)
+            self._refused += 1
+            connection.close()
 
     def _answer_client(self, connection: socket.socket, is_persistent: bool) -> None:  # noqa: FBT001 - of a thread
         requests = TcprosReader(self._most)

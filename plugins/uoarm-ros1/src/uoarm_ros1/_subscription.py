@@ -356,11 +356,17 @@ class TopicSubscription:
             publisher.uri for publisher in tuple(self._publishers.values()) if publisher.is_listed
         ]
 
-    def update(self, uris: tuple[str, ...]) -> None:
-        """Take note of who publishes the topic now; returns at once."""
+    def update(self, uris: tuple[str, ...]) -> str:
+        """Take note of who publishes the topic now; returns at once.
+
+        Returns:
+            Why one cannot be connected to, as there is no thread for it: the next update tries
+            again. Nothing where each has a thread.
+        """
+        failure = ""
         with self._changed:
             if self._closed:
-                return
+                return failure
             for uri, publisher in self._publishers.items():
                 # What it sent before it left still comes: its connection is its own to close.
                 publisher.mark(is_listed=uri in uris)
@@ -370,10 +376,17 @@ class TopicSubscription:
             self._publishers |= {publisher.uri: publisher for publisher in started}
             self._changed.notify_all()
         for publisher in started:
-            publisher.start()
+            try:
+                publisher.start()
+            except RuntimeError as error:
+                failure = f"topic {self.wanted.topic}: {publisher.uri} is not connected: {error}"
+                with self._changed:
+                    self._publishers.pop(publisher.uri, None)
+                self.ended(publisher.uri, failure, was_connected=False)
         if left_out := fresh[room:]:
             text = f"topic {self.wanted.topic} has more than {_MOST_PUBLISHERS} publishers"
             self.ended(left_out[0], text, was_connected=False)
+        return failure
 
     def wait(self, is_ready: Callable[[], bool], seconds: float) -> bool:
         """Wait until something holds of the publishers."""

@@ -109,7 +109,8 @@ class RtmBridge(Bridge):
         soon, follow, own = self._ticker.soon, self._ticker.follow, f"{self._component}.rtc"
         self._monitor = DirectoryMonitor(self._directory, self.report, own, follow)
         self._observers = Observers(self._orb, self._component, seconds, soon)
-        self._ticker.start()
+        with on_failure(self._orb.close):
+            self._ticker.start()
         self._forget_exit = at_exit(partial(_end_at_exit, weakref.ref(self)))
 
     def _describe(self, endpoint: Endpoint) -> Description:

@@ -27,7 +27,7 @@ import omniORB
 from attrs import frozen
 from omniORB import CORBA
 
-from uoarm.bridge import at_exit, close_in_children
+from uoarm.bridge import at_exit, close_in_children, on_failure
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._compiler import omniorb_programs
 
@@ -161,11 +161,11 @@ _log = logging.getLogger("uoarm.rtm")
 class _OrbShutdown:
     """Ends an ORB on request, in a thread of its own, since that may hang.
 
-    The thread begins with the ORB: none can begin while the process exits.
+    The thread begins before the ORB: none can begin while the process exits.
     """
 
-    def __init__(self, orb: Any) -> None:
-        self._orb = orb
+    def __init__(self) -> None:
+        self.orb: Any = None
         self._begun = threading.Event()
         self._thread = threading.Thread(target=self._run, name="uoarm-rtm-end", daemon=True)
         self._thread.start()
@@ -181,14 +181,16 @@ class _OrbShutdown:
 
     def _run(self) -> None:
         self._begun.wait()
+        if self.orb is None:  # it could not begin
+            return
         if not calls.end(_DRAIN_SECONDS, lambda: _cut(_shared.called)):
             _log.warning("a CORBA call does not come back: the ORB is left as it is")
             return
         try:
             # An ORB that the application has shut down cannot be destroyed safely: calls made
             # since then may have opened connections, at which omniORB aborts the process.
-            self._orb.work_pending()
-            self._orb.destroy()
+            self.orb.work_pending()
+            self.orb.destroy()
         except CORBA.Exception:
             _log.warning("the ORB of this process was shut down from outside: it is left so")
             return
@@ -371,7 +373,10 @@ class Orb:
             destroying = threading.Thread(
                 target=_destroy_poa, args=(self._poa,), name="uoarm-rtm-poa", daemon=True
             )
-            destroying.start()
+            try:
+                destroying.start()
+            except RuntimeError:  # the system gives no more threads
+                _destroy_poa(self._poa)
 
 
 def limit(reference: Any, seconds: float) -> Any:
@@ -427,11 +432,14 @@ def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
         words = ["uoarm"]
         for name, value in arguments.items():
             words += [f"-ORB{name}", value]
-        with corba_errors(f"starting the ORB on {address}"):
+        ending = _OrbShutdown()
+        with on_failure(ending.begin), corba_errors(f"starting the ORB on {address}"):
             orb = CORBA.ORB_init(words, CORBA.ORB_ID)
-        _shared.running = _RunningOrb(
-            orb, address, most_octets, None if foreign else _OrbShutdown(orb)
-        )
+        if foreign:
+            ending.begin()
+        else:
+            ending.orb = orb
+        _shared.running = _RunningOrb(orb, address, most_octets, None if foreign else ending)
         _shared.users = 0
     elif _shared.running.address != address and _shared.running.ending is not None:
         text = (

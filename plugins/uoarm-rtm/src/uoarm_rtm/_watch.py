@@ -197,11 +197,17 @@ class Ticker:
         self._resting: dict[threading.Thread, float] = {}
 
     def start(self) -> None:
-        """Begin, where there are rounds at all."""
+        """Begin, where there are rounds at all.
+
+        Raises:
+            RuntimeError: the system gives no thread.
+        """
         if self._seconds:
             with self._changed:
                 for _ in range(_MOST_RESTING):  # as many as stay in the end
                     self._add_thread()
+                if not self._threads:
+                    raise RuntimeError("there is no thread that could watch components")
 
     def soon(self, check: Check) -> None:
         """Have a check made before its turn, and once more 20 ms later."""

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Generic, Protocol, TypeVar
 
-from uoarm.bridge import ChannelMonitor, Delivery
+from uoarm.bridge import ChannelMonitor, Delivery, on_failure
 from uoarm_rocos._catalogue import (
     Api,
     ApiKind,
@@ -332,7 +332,8 @@ class StreamDevice(LineDevice):
         self._flows: tuple[_StreamFlow, ...] = ()
         self._deliveries = delivery_queue(name)
         self._line = DeviceLine(name, transport, self, timing.backoff)
-        self._line.start()
+        with on_failure(self._deliveries.close):  # the system gives no more threads
+            self._line.start()
 
     def catalogue(self, timeout: float) -> DeviceCatalogue:
         """Return the catalogue once the device sends."""
