@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -139,7 +138,7 @@ def test_a_call_that_still_connects_ends_as_the_bridge_closes(master: Master) ->
     with bridge_to(master) as bridge:
         at = service("/stopped")
         bridge.call(at, {"data": True}, timeout=patience())
-        peer.send_signal(signal.SIGSTOP)
+        peer.freeze()
         limit = 4 * patience()
         calls = [
             Background(lambda: bridge.call(at, {"data": True}, timeout=limit)) for _ in range(20)
