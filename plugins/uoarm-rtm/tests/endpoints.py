@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from peers import Peer
 from uoarm_rtm._orb import limit
 
 from uoarm.bridge import Bridge, Channel
 from uoarm.model import Endpoint, Role
 from uoarm.testing import slowness, wait
 
+if TYPE_CHECKING:  # the process of a peer has these limits, too, and no `tests` on its path
+    from peers import Peer
+
 Make = Callable[..., Bridge]
-Start = Callable[..., Peer]
+Start = Callable[..., "Peer"]
 # As `call_timeout`, the longest there is: what answers late on a busy machine has not failed.
 ANSWERS = 60.0
 # As `call_timeout`: within it all answer but what hangs, on a machine that is busy, or stands
