@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from ros import Enter
+from played import bridge_to
+from ros import Enter, url
 
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
-from uoarm.testing import Emitter, MemoryBridge
+from uoarm.model import Endpoint, Role
+from uoarm.server import Server
+from uoarm.testing import Collector, Emitter, MemoryBridge
 
 ROBOT = """
 version: 1
@@ -76,3 +79,23 @@ def test_what_clients_latched_stands_for_each_of_them(enter: Enter) -> None:
     after.send(op="subscribe", topic="/tf_static")
     assert after.messages(1) == [{"data": 1}]
     after.call("/rosapi/get_time", {})
+
+
+def test_a_second_source_on_a_latched_topic_gets_what_stands(
+    server: Server, latched: tuple[MemoryBridge, Emitter]
+) -> None:
+    latched[1].emit({"data": 0}, "a")
+    collectors = Collector(), Collector(), Collector()
+    with bridge_to(url(server)) as bridge:
+        for collector, is_latched in zip(collectors, (False, True, False), strict=True):
+            endpoint = Endpoint(
+                "far", "map", Role.OUTPUT, ("/uoarm/map",), options={"latch": is_latched}
+            )
+            structure = bridge.describe(endpoint).message
+            assert structure is not None
+            bridge.open_source(endpoint, structure, collector.deliver)
+            if collector is not collectors[2]:
+                assert collector.wait(1) == [{"data": 0}]
+        latched[1].emit({"data": 1}, "a")
+        assert [collector.wait(2)[-1:] for collector in collectors[:2]] == [[{"data": 1}]] * 2
+        assert collectors[2].wait(1) == [{"data": 1}]

@@ -63,6 +63,8 @@ class TopicSource(Source):
         self._received = 0
         self._breaks = self._seen_breaks = connection.breaks
         self._newest: Any = None
+        # Guards what is put into the queue from the thread that opens it, beside the connection's.
+        self._taking = threading.Lock()
         self.health = monitored(self, topic, port, report)
         self._identity = connection.new_id("subscribe")
         self._is_readable = threading.Event()  # set once it is known how messages come
@@ -78,8 +80,11 @@ class TopicSource(Source):
         }  # fmt: skip
         with on_failure(self._close):
             # Where another source has the topic already, messages come as that has asked for.
-            fields = connection.subscribe(fields, self._take)
-            is_raw = fields["compression"] == "cbor-raw"
+            subscription = connection.subscribe(fields, self._take)
+            with self._taking:  # the server sends what stands to the first of them alone
+                if self.latched and not self._received:
+                    self._put(subscription.newest)
+            is_raw = subscription.fields["compression"] == "cbor-raw"
             self._read = raw_reader(made, options.budget) if is_raw else reader(made)
             self._is_readable.set()
             connection.settle()
@@ -99,11 +104,15 @@ class TopicSource(Source):
         if self.closed:
             return
         self.health.passed()
+        with self._taking:
+            self._put(message)
+
+    def _put(self, message: Any) -> None:
         if self.latched:
             before, self._newest = self._newest, message
             is_first = self._seen_breaks != self._connection.breaks
             self._seen_breaks = self._connection.breaks
-            if is_first and is_same(before, message):
+            if message is before or (is_first and is_same(before, message)):
                 return  # what stands is sent again with each subscription
         self._received += 1
         self._queue.put(message)

@@ -59,11 +59,12 @@ class _Pending:
 
 
 @define(eq=False)
-class _Subscription:
-    """One topic: the operation that the server knows of it, and what takes its messages."""
+class TopicSubscription:
+    """One topic: the operation that the server knows, what takes its messages, and the last one."""
 
     fields: Fields
     takes: tuple[Callable[[Any], None], ...]
+    newest: Any = None
 
 
 class ServerConnection:
@@ -126,7 +127,7 @@ class ServerConnection:
         # what stands when a connection begins is sent with it, all else by who has it stand.
         self._standing_lock = threading.RLock()
         self._standing: dict[str, Fields] = {}
-        self._topics: dict[str, _Subscription] = {}
+        self._topics: dict[str, TopicSubscription] = {}
         self._pending: dict[str, _Pending] = {}
         self._statuses: dict[str, Callable[[str], None]] = {}
         self._numbers = count(1)
@@ -321,8 +322,8 @@ class ServerConnection:
                 with suppress(BridgeError):
                     self.send(fields)
 
-    def subscribe(self, fields: Fields, take: Callable[[Any], None]) -> Fields:
-        """Have the messages of a topic taken; returns the operation that the server knows of it.
+    def subscribe(self, fields: Fields, take: Callable[[Any], None]) -> TopicSubscription:
+        """Have the messages of a topic taken; returns what the server knows of it.
 
         The server sends each message once to a client, however often that has subscribed: the
         first subscription to a topic is that of all.
@@ -333,17 +334,17 @@ class ServerConnection:
         topic = fields["topic"]
         self.require_up()
         with self._standing_lock:
-            before = self._topics.get(topic)
-            if before is None:
-                self._topics[topic] = _Subscription(fields, (take,))
+            subscription = self._topics.get(topic)
+            if subscription is None:
+                subscription = self._topics[topic] = TopicSubscription(fields, (take,))
                 try:
                     self.stand(fields)
                 except BaseException:
                     del self._topics[topic]
                     raise
-                return fields
-            before.takes = (*before.takes, take)
-            return before.fields
+            else:
+                subscription.takes = (*subscription.takes, take)
+            return subscription
 
     def unsubscribe(self, topic: str, take: Callable[[Any], None]) -> None:
         """Have them taken no more; the last one to do so ends the subscription."""
@@ -503,9 +504,11 @@ class ServerConnection:
             return
         op = fields.get("op")
         if op == "publish":
-            subscription = self._topics.get(str(fields.get("topic")))
-            for take in () if subscription is None else subscription.takes:
-                take(fields.get("msg"))
+            if (subscription := self._topics.get(str(fields.get("topic")))) is not None:
+                # Before it is handed on: who is added meanwhile finds it, or has it handed on.
+                subscription.newest = fields.get("msg")
+                for take in subscription.takes:
+                    take(subscription.newest)
         elif op in {"service_response", "action_result"}:
             self._answer(fields)
         elif op in _SERVED:
