@@ -55,7 +55,7 @@ def test_any_octets_are_read_or_refused(frame: bytes) -> None:
     try:
         read(frame)
     except ControlMessageError as error:
-        assert "expected" in str(error) or "encoding" in str(error)
+        assert "expected" in str(error)
 
 
 @pytest.mark.parametrize(
@@ -63,8 +63,6 @@ def test_any_octets_are_read_or_refused(frame: bytes) -> None:
     [
         (b"", "is empty"),
         (b"\x07abcdef", "begins with 7"),
-        (struct.pack("<BIII", 2, 1, 1, 9) + b"cdr", "an encoding of 9"),
-        (struct.pack("<BIII", 2, 1, 1, 2**31) + b"cdr", "2,147,483,648"),
         ("[1]", "got list"),
         ("{", "not JSON"),
     ],

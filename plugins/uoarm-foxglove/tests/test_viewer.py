@@ -288,6 +288,12 @@ def test_a_service_is_called_and_its_failure_is_the_calls(serve: Serve) -> None:
         assert "cannot be read" in viewer.until("serviceCallFailure")["message"]
         viewer.call("/add", b"{}", "protobuf")
         assert "'protobuf' is not served" in viewer.until("serviceCallFailure")["message"]
+        for length in (4, 33, 2**32 - 1):
+            head = struct.pack("<BIII", 2, viewer.service("/add")["id"], 7, length)
+            viewer.socket.send(head + b"cdr")
+            failure = viewer.until("serviceCallFailure")
+            assert failure["callId"] == 7
+            assert f"'of {length:,} octets' is not served" in failure["message"]
 
 
 def test_a_service_is_called_in_either_encoding_that_the_server_states(serve: Serve) -> None:

@@ -75,7 +75,8 @@ def read_frame(frame: str | bytes, spending: BudgetUse) -> ClientFrame:
         _, service, call, length = _CALL_HEAD.unpack_from(frame)
         start = _CALL_HEAD.size
         if length > min(_LONGEST_ENCODING, len(frame) - start):
-            raise ControlMessageError(f"a service call states an encoding of {length:,} octets")
+            # None that is served: whose call it is is known, and it is answered as one.
+            return ServiceRequest(service, call, f"of {length:,} octets", b"")
         encoding = frame[start : start + length].decode(errors="replace")
         return ServiceRequest(service, call, encoding, frame[start + length :])
     first = f"begins with {frame[0]}" if frame else "is empty"
