@@ -108,8 +108,8 @@ def test_a_viewer_that_can_be_shown_nothing_is_warned(
 
 @pytest.mark.parametrize("turns", range(4))
 async def test_a_viewer_that_goes_as_it_asks_is_shown_nothing_more(turns: int) -> None:
-    catalogue = Mock(answer=AsyncMock(side_effect=BusyError("too busy")))
-    session = FoxgloveSession(Mock(identity="viewer"), MagicMock(), catalogue)
+    catalogue = Mock(answer=AsyncMock(side_effect=BusyError("too busy")), identity="server")
+    session = FoxgloveSession(Mock(), MagicMock(), catalogue)
     for _ in range(4):
         await asyncio.sleep(0)
     session._look_now.set()
