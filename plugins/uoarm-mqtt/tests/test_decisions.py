@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
+from tests.hostile import misbehaviour  # type: ignore[import-not-found]
 from uoarm_mqtt._client import ThreadedClient
 from uoarm_mqtt._codec import PayloadCodec, with_topic
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
@@ -102,6 +103,13 @@ def test_what_is_retained_goes_to_who_has_just_subscribed_and_wants_it() -> None
     table.add(other)
     assert table.route(message("a", other.id, retain=True)) == []
     assert table.route(message("a", other.id)) == [old, new, other]
+
+
+@pytest.mark.parametrize("content", ["json", "octets", "text"])
+def test_what_a_value_does_itself_is_a_refusal(content: str) -> None:
+    assert not misbehaviour(PayloadCodec(content, Budget()).encode)
+    if content == "json":
+        assert not misbehaviour(lambda value: PayloadCodec(content, Budget()).encode([value]))
 
 
 def test_octets_in_json_are_base64_with_its_padding_or_without() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from array import array
 from typing import Any
 
@@ -11,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from strategies import catalogues, fitting, members, values
+from tests.hostile import misbehaviour  # type: ignore[import-not-found]
 from uoarm_rocos._catalogue import (
     Api,
     ApiKind,
@@ -28,7 +30,11 @@ from uoarm_rocos._catalogue import (
     differences,
 )
 from uoarm_rocos._framing import WireError
-from uoarm_rocos._structure import api_classes, describe, fit, structure_of
+from uoarm_rocos._structure import api_classes, describe, fit, fit_given, structure_of
+from uoarm_rocos._values import read_values, write_values
+
+from uoarm.errors import UoarmError
+from uoarm.testing import same
 
 POINT: Fields = {"x": NamedField(NumberField(unit="m")), "y": NamedField(NumberField(unit="m"))}
 FIELDS: Fields = {
@@ -119,6 +125,19 @@ def test_fit_and_structure_agree_on_what_the_structure_allows(
 def test_what_does_not_fit_is_named(change: dict[str, object], said: str) -> None:
     with pytest.raises(WireError, match=said):
         fit(FIELDS, {**GOOD, **change}, "m")
+
+
+@pytest.mark.parametrize("name", ["on", "spo2", "any", "text", "image", "pose", "path", "levels"])
+def test_what_a_value_does_itself_is_a_refusal(name: str) -> None:
+    def write(value: Any) -> None:
+        fitted = fit_given(FIELDS, {**GOOD, name: value}, "m")
+        assert same(read_values(ET.fromstring(f"<x>{write_values(fitted)}</x>")), fitted)
+
+    assert not misbehaviour(write, UoarmError)
+
+
+def test_what_is_written_without_a_catalogue_refuses_it_too() -> None:
+    assert not misbehaviour(lambda value: write_values({"x": [value]}), WireError)
 
 
 def test_octets_fit_a_list_of_numbers_and_no_other() -> None:

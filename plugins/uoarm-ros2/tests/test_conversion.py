@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from messages import MESSAGE_TYPES, messages_of, plain, same
 from rclpy.serialization import deserialize_message, serialize_message
 from rosidl_parser.definition import Array, BasicType, BoundedSequence, BoundedWString
+from tests.hostile import misbehaviour  # type: ignore[import-not-found]
 from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._types import RecordType, import_type, shape_of, type_hash
 
@@ -304,3 +305,32 @@ def test_a_package_that_is_broken_is_as_one_that_is_not_there(
     with pytest.raises(BridgeError, match=r"'awry_msgs.msg' is broken: SyntaxError: ") as caught:
         import_type("awry_msgs/msg/Edge")
     assert caught.value.reason is FailureReason.NOT_FOUND
+
+
+@pytest.mark.parametrize(
+    ("kind", "field"),
+    [
+        ("test_msgs/msg/BasicTypes", "bool_value"),
+        ("test_msgs/msg/BasicTypes", "int64_value"),
+        ("test_msgs/msg/BasicTypes", "float32_value"),
+        ("test_msgs/msg/UnboundedSequences", "float64_values"),
+        ("test_msgs/msg/UnboundedSequences", "uint8_values"),
+        ("test_msgs/msg/UnboundedSequences", "string_values"),
+        ("test_msgs/msg/UnboundedSequences", "bool_values"),
+        ("test_msgs/msg/UnboundedSequences", "constants_values"),
+    ],
+)
+def test_what_a_value_does_itself_is_a_refusal(kind: str, field: str) -> None:
+    write, given = writer(record(kind)), BASIC if "Basic" in kind else _unbounded()
+    assert not misbehaviour(lambda value: serialize_message(write({**given, field: value})))
+
+
+def test_what_raises_is_named_with_its_place() -> None:
+    class Wrong(dict[str, Any]):
+        def __getitem__(self, key: str) -> Any:
+            raise GeneratorExit("of mine")
+
+    given = _unbounded(basic_types_values=[Wrong(BASIC)])
+    place = r"field basic_types_values\[0\]: GeneratorExit: of mine"
+    with pytest.raises(MessageError, match=place):
+        writer(record("test_msgs/msg/UnboundedSequences"))(given)

@@ -21,7 +21,7 @@ from attrs.validators import ge
 
 from uoarm._encodable import encodable, is_encodable
 from uoarm.errors import ControlMessageError
-from uoarm.model._message import MessageStructure, message_octets
+from uoarm.model._message import MOST_OCTETS, MessageStructure, elements_of, message_octets
 from uoarm.model._plan import Reason, Rejection
 
 if TYPE_CHECKING:
@@ -194,9 +194,13 @@ def octets_of(value: Any) -> bytes:
         TypeError: it holds something else.
         ValueError: a number is no octet.
     """
-    if hasattr(value, "tolist") and memoryview(value).format != "B":
-        value = value.tolist()
-    return bytes(value)
+    try:
+        view = memoryview(value)
+    except TypeError:
+        return bytes(elements_of(value))
+    if view.nbytes > MOST_OCTETS:  # it repeats its values, perhaps
+        raise ValueError(f"it has {view.nbytes:,} octets: {MOST_OCTETS:,} are allowed")
+    return bytes(view if view.format == "B" else value.tolist())
 
 
 def read_json(text: str | bytes) -> Any:

@@ -17,6 +17,8 @@ from uoarm.model import (
     Message,
     MessageStructure,
     Schema,
+    elements_of,
+    items_of,
     octets_of,
     read_json,
     scan_json,
@@ -97,10 +99,22 @@ class PayloadCodec:
             if not isinstance(message, str):
                 raise TypeError(f"expected a text, got {type(message).__name__}")
             return message.encode()
+        values, separators = _own(message), (",", ":")
         text = json.dumps(
-            message, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=_plain
+            values, ensure_ascii=False, allow_nan=False, separators=separators, default=self._plain
         )
         return text.encode()
+
+    def _plain(self, value: Any) -> Any:
+        """What JSON has no form for: octets are texts in base64, arrays are lists."""
+        if isinstance(value, bytes | bytearray | memoryview):
+            return base64.b64encode(octets_of(value)).decode("ascii")
+        if callable(listed := getattr(value, "tolist", None)):
+            count = getattr(value, "size", 0)  # its values repeat, perhaps
+            if count > self.budget.octets:
+                raise ValueError(f"an array of {count:,} elements is longer than any payload")
+            return _own(listed())
+        raise TypeError(f"a {type(value).__name__} has no form in JSON")
 
     def _decode(self, payload: bytes, content_type: str) -> Message:
         spending = BudgetUse(self.budget)
@@ -227,10 +241,14 @@ def with_topic(inner: MessageStructure) -> MessageStructure:
     return MessageStructure(enclose(inner.schema, around))
 
 
-def _plain(value: Any) -> Any:
-    """What JSON has no form for: octets are texts in base64, arrays are lists."""
-    if isinstance(value, bytes | bytearray | memoryview):
-        return base64.b64encode(octets_of(value)).decode("ascii")
-    if callable(listed := getattr(value, "tolist", None)):
-        return listed()
-    raise TypeError(f"a {type(value).__name__} has no form in JSON")
+_SCALARS = {bool, int, float, str, type(None)}
+
+
+def _own(value: Any) -> Any:
+    """Return a value whose mappings and lists are Python's own; others may never come to an end."""
+    if isinstance(value, Mapping):
+        return {name: _own(part) for name, part in items_of(value).items()}
+    if isinstance(value, list | tuple):
+        elements = elements_of(value)
+        return elements if set(map(type, elements)) <= _SCALARS else [*map(_own, elements)]
+    return value

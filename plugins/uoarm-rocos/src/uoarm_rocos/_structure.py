@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 
 import attrs
 
-from uoarm.bridge import Description
+from uoarm.bridge import Description, foreign, text_of
 from uoarm.errors import MessageError
-from uoarm.model import MessageStructure, octets_of
+from uoarm.model import MOST_OCTETS, MessageStructure, elements_of, octets_of
 from uoarm_rocos._catalogue import (
     Api,
     ApiKind,
@@ -129,16 +129,18 @@ def fit_given(fields: Fields, message: object, where: str) -> dict[str, Any]:
         MessageError: as the WireError of `fit`.
     """
     try:
-        return fit(fields, message, where)
+        return foreign(fit, fields, message, where)
     except WireError as error:
         raise MessageError(str(error)) from None
+    except Exception as error:  # of a value's own methods, or of one that changes meanwhile
+        raise MessageError(f"{where}: {text_of(error)}") from error
 
 
 def _members(fields: Fields, message: object) -> dict[str, Any]:
     if not isinstance(message, _OBJECT):
         raise _wrong("an object", message)
     if not message.keys() <= fields.keys():
-        name = next(name for name in message if name not in fields)
+        name = next((name for name in message if name not in fields), None)
         known = ", ".join(fields) or "none"
         raise _UnfitError(f"there is no field {str(name)[:_SHOWN]!r}; there are {known}")
     values = {}
@@ -218,12 +220,17 @@ def _octets(kind: OctetsField, value: Any) -> bytes:
 
 
 def _list(kind: ListField, value: Any) -> list[Any]:
-    items = value.tolist() if hasattr(value, "tolist") else value
+    most = math.inf if kind.max_items is None else kind.max_items
+    items = value
+    if hasattr(value, "tolist"):
+        if (octets := memoryview(value).nbytes) > MOST_OCTETS:  # it repeats its values, perhaps
+            raise _wrong(f"at most {MOST_OCTETS:,} octets", f"{octets:,} of them")
+        items = value.tolist()
     if isinstance(items, bytes | bytearray):
         items = list(items)
     if not isinstance(items, list | tuple):
         raise _wrong("a list", value)
-    most = math.inf if kind.max_items is None else kind.max_items
+    items = elements_of(items)
     if not kind.min_items <= len(items) <= most:
         raise _wrong(f"{kind.min_items} to {most} items", f"{len(items)} of them")
     kind_of_items, fitted = kind.items, list[Any]()

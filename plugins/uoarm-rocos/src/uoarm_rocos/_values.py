@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
+from uoarm.bridge import foreign, text_of
+from uoarm.model import elements_of, items_of
 from uoarm_rocos._catalogue import NAME
 from uoarm_rocos._framing import WireError
 
@@ -116,9 +118,11 @@ def write_values(values: Mapping[str, Any]) -> str:
         WireError: a name or value is none of the profile; the text names its path.
     """
     try:
-        return _members(values, 1)
+        return foreign(_members, values, 1)
     except _UnwritableError as error:
         raise WireError(f"{error.path.lstrip('.') or 'message'}{error.text}") from error.__cause__
+    except Exception as error:  # of a value that changes meanwhile, say
+        raise WireError(f"message: {text_of(error)}") from error
 
 
 def read_values(parent: ET.Element) -> dict[str, Any]:
@@ -163,7 +167,7 @@ class _UnwritableError(Exception):
 
 def _members(values: Mapping[Any, Any], depth: int) -> str:
     written = []
-    for name, value in values.items():
+    for name, value in items_of(values).items():
         if not isinstance(name, str) or len(name) > _LONGEST or not (shown := _name(name)):
             raise _UnwritableError(f": {str(name)[:_SHOWN]!r} is no name of the profile")
         try:
@@ -184,6 +188,7 @@ def _write(name: str, value: Any, depth: int) -> str:
     if depth >= _DEPTH:
         raise _UnwritableError(f"...: values stand {_DEPTH} deep inside each other")
     if isinstance(value, str):
+        value = str.__str__(value)  # without the methods of a subclass
         if not _UNLIKE_XML.search(value):
             return f"<string{name}>{value}</string>"
         return _odd_string(name, value)
@@ -192,10 +197,12 @@ def _write(name: str, value: Any, depth: int) -> str:
     if isinstance(value, bool):
         return f"<boolean{name}>{'true' if value else 'false'}</boolean>"
     if isinstance(value, int):
+        value = int.__index__(value)
         if abs(value) >= _TWENTY_DIGITS:
             raise _UnwritableError(": an integer has more than 20 digits")
         return f"<integer{name}>{value}</integer>"
     if isinstance(value, list | tuple):
+        value = elements_of(value)
         if value and depth + 1 < _DEPTH and all(type(item) is float for item in value):
             numbers = "</number><number>".join(map(real, value))
             return f"<list{name}><number>{numbers}</number></list>"

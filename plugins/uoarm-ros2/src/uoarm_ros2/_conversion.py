@@ -17,17 +17,17 @@ from array import array
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import lru_cache, partial
-from itertools import count
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from uoarm.bridge import foreign, text_of
 from uoarm.bridge import shown as in_words
-from uoarm.bridge import text_of
 from uoarm.cdr import FLOAT32_MAX
 from uoarm.errors import MessageError
-from uoarm.model import Message
+from uoarm.model import MOST_OCTETS, Message, elements_of
 from uoarm_ros2._schema import integer_range
 from uoarm_ros2._types import NUMBER_CODES, ArrayType, RecordType, ScalarType, Shape, StringType
 
@@ -191,18 +191,19 @@ def _wide_text(bound: int | None, value: Message) -> str:
 def _encodable(value: Message, encoding: str, unit: int, bound: int | None) -> str:
     if not isinstance(value, str):
         raise UnfitValueError(f"expected a string, got {shown(value)}")
-    if "\0" in value:
+    text: str = str.__str__(value)  # without the methods of a subclass
+    if "\0" in text:
         raise UnfitValueError(
             "expected a string without the character NUL, at which ROS 2 would cut it"
         )
     try:
-        length = len(value.encode(encoding)) // unit
+        length = len(text.encode(encoding)) // unit
     except UnicodeEncodeError as error:
-        text = f"expected a string of whole characters, got {shown(value)} ({error.reason})"
-        raise UnfitValueError(text) from error
+        why = f"expected a string of whole characters, got {shown(value)} ({error.reason})"
+        raise UnfitValueError(why) from error
     if bound is not None and length > bound:
         raise UnfitValueError(f"expected at most {bound} {encoding} code units, got {length}")
-    return value
+    return text
 
 
 def fitting(text: str, kind: StringType) -> str:
@@ -251,7 +252,7 @@ def _items(
         if isinstance(value, str | bytes) or not hasattr(value, "__len__"):
             raise UnfitValueError(f"expected an array, got {shown(value)}")
         counted(len(value))
-        return _checked(value, check)
+        return _checked(elements_of(value), check)
 
     return take
 
@@ -303,7 +304,7 @@ def _converted(value: Message, name: str, dtype: np.dtype[np.generic], code: str
             raise UnfitValueError(f"expected an array of one dimension, got {value.ndim}")
         given = value
     elif isinstance(value, list | tuple):
-        return _listed(value, name, dtype, code)
+        return _listed(elements_of(value), name, dtype, code)
     else:
         raise UnfitValueError(f"expected an array of {name}, got {shown(value)}")
     return _fitted(given, name, dtype)
@@ -326,6 +327,8 @@ def _listed(
 def _fitted(
     given: npt.NDArray[np.generic], name: str, dtype: np.dtype[np.generic]
 ) -> npt.NDArray[np.generic]:
+    if (octets := given.size * dtype.itemsize) > MOST_OCTETS:  # its values repeat, perhaps
+        raise UnfitValueError(f"expected at most {MOST_OCTETS:,} octets, got {octets:,}")
     if given.dtype == dtype:
         return np.ascontiguousarray(given)
     limits = integer_range(name)
@@ -361,9 +364,9 @@ def writer(record: RecordType) -> Callable[[Message], object]:
 
     def write(message: Message) -> object:
         try:
-            return build(message)
-        except (UnfitValueError, KeyError, TypeError, AttributeError) as error:
-            raise _explained(record, message, error) from None
+            return foreign(build, message)
+        except Exception as error:  # noqa: BLE001 - of a value's own methods, too
+            raise _explained(record, message, error) from error.__cause__
 
     return write
 
@@ -431,7 +434,7 @@ def _array_builder(listing: ArrayType) -> Callable[[Message], object]:
         if size is not None and (len(value) != size if fixed else len(value) > size):
             bound = f"{'' if fixed else 'at most '}{size}"
             raise UnfitValueError(f"expected {bound} elements, got {len(value)}")
-        return [build(item) for item in value]
+        return [build(item) for item in elements_of(value)]
 
     return take
 
@@ -446,20 +449,22 @@ def _explained(record: RecordType, message: Message, error: Exception) -> Messag
 
 
 def _fault(shape: Shape, value: Message, path: str) -> tuple[str, str] | None:
-    if isinstance(shape, RecordType):
-        return _record_fault(shape, value, path)
     try:
+        if isinstance(shape, RecordType):
+            return foreign(_record_fault, shape, value, path)
         if not isinstance(shape, ArrayType):
-            checker(shape)(value)
+            foreign(checker(shape), value)
         elif not isinstance(shape.element, RecordType):
-            taker(shape)(value)
+            foreign(taker(shape), value)
         else:
-            return _elements_fault(shape, shape.element, value, path)
+            return foreign(_elements_fault, shape, shape.element, value, path)
     except UnfitValueError as misfit:
         place, _, cause = str(misfit).partition(" ")
         if place.startswith("["):
             return path + place, cause
         return path, str(misfit)
+    except Exception as error:  # noqa: BLE001 - of a value's own methods
+        return path, text_of(error)
     return None
 
 
@@ -467,8 +472,9 @@ def _record_fault(record: RecordType, value: Message, path: str) -> tuple[str, s
     if not isinstance(value, Mapping):
         return path, f"expected an object ({record.name}), got {shown(value)}"
     names = [field.name for field in record.fields]
-    unknown = sorted(str(name) for name in value if name not in names)
-    if unknown:
+    # No further: one that is no dict may have names without an end.
+    looked_at = islice(value, len(names) + 1)
+    if unknown := sorted(str(name) for name in looked_at if name not in names):
         place = f"{path}.{unknown[0]}".lstrip(".")
         return place, f"{record.name} has no such field, only {', '.join(names) or 'none'}"
     for field in record.fields:
@@ -485,8 +491,8 @@ def _elements_fault(
     listing: ArrayType, element: RecordType, value: Message, path: str
 ) -> tuple[str, str] | None:
     if isinstance(value, list | tuple):
-        for index, item in enumerate(value):
-            found = _record_fault(element, item, f"{path}[{index}]")
+        for index, item in enumerate(elements_of(value)):
+            found = _fault(element, item, f"{path}[{index}]")
             if found is not None:
                 return found
     _array_builder(listing)(value)
