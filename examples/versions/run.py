@@ -5,6 +5,7 @@ Makes both environments when they are missing; that takes a minute or two and so
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import subprocess
@@ -25,6 +26,7 @@ PATIENCE_SECONDS = 60.0
 
 def main() -> int:
     """Make what is missing, play, and return 0 when Kilted received everything."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     for version in DOMAINS:
         if version not in {environment.name for environment in environments.listed()}:
             plugin = f"{ROOT / 'plugins' / 'uoarm-ros2'}[{version}]"
