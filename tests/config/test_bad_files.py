@@ -52,6 +52,7 @@ AT = "$.functions.f.components[0]"
 
 YAML = {
     "tab": Bad("version: 1\n\tbridges: {}\n", 2, 1, "$", "use spaces"),
+    "no first character": Bad("a: %x\n", 1, 4, "$", "(write text in quotes)"),
     "open bracket": Bad("version: [1\n", 2, 1, "$", "this is not YAML"),
     "begun where": Bad("a: 1\nb: [1,\n  2\n", 4, 1, "$", "begun in line 2"),
     "control character": Bad("version: 1\na: \x01\n", 2, 4, "$", "U+0001"),

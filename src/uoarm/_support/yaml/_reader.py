@@ -321,5 +321,7 @@ def _syntax(error: yaml.YAMLError, text: str) -> tuple[Position, str, str]:
     lines = text.splitlines()
     line = lines[place.line - 1] if place.line <= len(lines) else ""
     tab = "\t" in line[: len(line) - len(line.lstrip())] or "\\t" in what or "tab" in what
-    hint = "YAML does not allow tabs for indentation: use spaces" if tab else ""
+    hint = "write text in quotes" if "cannot start any token" in what else ""
+    if tab:
+        hint = "YAML does not allow tabs for indentation: use spaces"
     return place, f"this is not YAML: {what}", hint
