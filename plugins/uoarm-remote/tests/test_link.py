@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -329,21 +330,11 @@ def test_the_status_says_that_the_manager_is_gone_where_nothing_is_open(
 
 def test_a_call_to_a_manager_that_is_gone_ends_with_its_grace(proxy: Proxy, desk: Desk) -> None:
     manager = desk(through(proxy), grace=0.2)
-    answers: list[object] = []
-
-    def call() -> None:
-        try:
-            answers.append(manager.call("hidden", {"value": 1}))
-        except BridgeError as error:
-            answers.append(error)
-
-    thread = threading.Thread(target=call)
-    thread.start()
+    calling = Background(partial(manager.call, "hidden", {"value": 1}))
     wait(stage.silent.is_set, "the call did not arrive")
     proxy.cut(admit=False)
-    thread.join(patience())
-    (answer,) = answers
-    assert "the link broke before the answer" in str(answer)
+    with pytest.raises(BridgeError, match="the link broke before the answer"):
+        calling.result()
 
 
 def test_a_call_that_is_cancelled_here_waits_no_longer(robot: ServedRobot) -> None:

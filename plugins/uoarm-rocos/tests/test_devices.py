@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import pytest
@@ -35,7 +36,7 @@ from uoarm_rocos.simulate import (
 from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import patience, wait
+from uoarm.testing import Background, patience, wait
 
 ANY = MessageStructure(True)
 PULSE = endpoint("clip", "pulseOximetry")
@@ -229,15 +230,12 @@ def test_a_measurement_without_a_call_is_not_acknowledged_and_a_broken_one_is_re
             device.write(frame)
             device.write(frame[:-1] + b"?")
             assert device.read(4) == b"PWA0"
-            replies = Events()
-            call = threading.Thread(target=lambda: replies(bridge.call(PRESSURE, {})))
-            call.start()
+            call = Background(partial(bridge.call, PRESSURE, {}))
             waiting = bridge._devices["cuff"]  # type: ignore[attr-defined]  # no public way to see
             wait(lambda: waiting._waiting)
             device.write(frame)
             assert device.read(4) == b"PWA1"
-            assert replies.get()["systolic"] == 105
-            call.join(LIMIT)
+            assert call.result()["systolic"] == 105
 
 
 def test_a_call_ends_without_a_measurement_and_when_the_cable_is_out() -> None:
@@ -246,22 +244,13 @@ def test_a_call_ends_without_a_measurement_and_when_the_cable_is_out() -> None:
         with bridged(cuff=cuff) as (bridge, _):
             with pytest.raises(BridgeTimeoutError):
                 bridge.call(PRESSURE, {}, timeout=0.2)
-            failures = Events()
-
-            def ask() -> None:
-                try:
-                    bridge.call(PRESSURE, {}, timeout=2 * LIMIT)
-                except BridgeError as error:
-                    failures(str(error))
-
             monitor = bridge._devices["cuff"]  # type: ignore[attr-defined]  # no public way to see
             wait(lambda: not monitor._waiting)  # the first call, which the core has given up
-            call = threading.Thread(target=ask)
-            call.start()
+            call = Background(partial(bridge.call, PRESSURE, {}, timeout=2 * LIMIT))
             wait(lambda: monitor._waiting)
             device.cut()
-            assert "is lost" in failures.get()
-            call.join(LIMIT)
+            with pytest.raises(BridgeError, match="is lost"):
+                call.result()
 
 
 def test_a_measurement_that_is_acknowledged_as_the_time_is_up_is_the_reply(
@@ -317,20 +306,11 @@ def test_a_call_whose_measurement_cannot_be_acknowledged_fails_at_once(
 ) -> None:
     monitor, line = deaf
     (api,) = monitor.catalogue(LIMIT).apis.values()
-    failures = Events()
-
-    def ask() -> None:
-        try:
-            monitor.call(api, {}, 2 * LIMIT)
-        except BridgeError as error:
-            failures(str(error))
-
-    call = threading.Thread(target=ask, daemon=True)
-    call.start()
+    call = Background(partial(monitor.call, api, {}, 2 * LIMIT))
     wait(lambda: monitor._waiting)
     line.brings = ua767_frame(Measurement(105, 76, 82, 65))
-    assert failures.get() == "the line to cuff is lost: it takes nothing"
-    call.join(LIMIT)
+    with pytest.raises(BridgeError, match=r"^the line to cuff is lost: it takes nothing$"):
+        call.result()
 
 
 def test_a_call_that_is_made_while_the_monitor_is_closed_does_not_wait(

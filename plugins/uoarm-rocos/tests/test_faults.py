@@ -8,8 +8,9 @@ import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event
 from typing import Any
 
 import pytest
@@ -40,7 +41,7 @@ from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, SimulatedRobot, Tcp
 from uoarm.bridge import Backoff
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
-from uoarm.testing import Collector, slowness, wait
+from uoarm.testing import Background, Collector, slowness, wait
 
 ANY = MessageStructure(True)
 ODOMETRY = endpoint("robot", "odometry")
@@ -291,12 +292,11 @@ def scripted(
         listening() as (listener, port),
         bridged(robot={"url": f"tcp://127.0.0.1:{port}", **options}) as (bridge, events),
     ):
-        opening = Thread(target=lambda: bridge.open_source(ODOMETRY, ANY, got), daemon=True)
-        opening.start()
+        opening = Background(partial(bridge.open_source, ODOMETRY, ANY, got))
         device = Scripted(listener.accept()[0])
         device.begin(heartbeat)
         device.flow = device.opened()
-        opening.join(LIMIT)
+        opening.result()
         with device.connection:
             yield device, got, events
 
@@ -324,7 +324,6 @@ def test_a_device_without_a_heartbeat_is_dropped() -> None:
 def test_a_call_on_a_line_that_is_lost_before_it_is_ready_again_fails_at_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    failures = Events()
     with (
         listening() as (listener, port),
         bridged(robot={"url": f"tcp://127.0.0.1:{port}"}) as (bridge, _),
@@ -338,19 +337,11 @@ def test_a_call_on_a_line_that_is_lost_before_it_is_ready_again_fails_at_once(
         second.receive(DescribeMessage)
         # A call that saw the device there a moment before it was lost.
         monkeypatch.setattr(robot, "_await", lambda timeout: None)
-
-        def ask() -> None:
-            try:
-                robot.call(api, {"text": "x"}, 60)
-            except BridgeError as error:
-                failures(str(error))
-
-        call = Thread(target=ask, daemon=True)
-        call.start()
+        call = Background(partial(robot.call, api, {"text": "x"}, 60))
         second.receive(CallMessage)
         second.connection.close()
-        assert "was lost" in failures.get()
-        call.join(LIMIT)
+        with pytest.raises(BridgeError, match="was lost"):
+            call.result()
 
 
 def test_a_transport_that_cannot_be_made_is_tried_again_and_its_cause_is_reported() -> None:
@@ -433,9 +424,7 @@ def test_a_device_that_begins_anew_on_the_same_line_is_greeted_anew() -> None:
 def test_garbage_and_a_flood_on_a_serial_line_harm_no_later_frame() -> None:
     with PseudoTerminal() as device, bridged(robot={"url": device.path}) as (bridge, _):
         framer = StuffedFramer()
-        structures = Events()
-        asking = Thread(target=lambda: structures(bridge.describe(ODOMETRY)), daemon=True)
-        asking.start()
+        asking = Background(partial(bridge.describe, ODOMETRY))
         received: list[bytes] = []
         while not received:
             received = framer.feed(device.read(1))
@@ -445,7 +434,7 @@ def test_garbage_and_a_flood_on_a_serial_line_harm_no_later_frame() -> None:
             device.write(b"\x7e<half a frame \xff\x00\x7d" + b"noise" * 700)
         answer = CatalogueMessage(0, asked.id, robot_catalogue())
         device.write(framer.frame(CODEC.write(answer)))
-        assert structures.get().message
+        assert asking.result().message
         robot = bridge._devices["robot"]  # type: ignore[attr-defined]  # of this bridge
         assert robot.facts()["damaged"] == 50
         robot._conversation.connected()  # as where the line is opened again

@@ -9,6 +9,7 @@ import struct
 import sys
 import threading
 import wave
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from uoarm_rocos.speech import (
 from uoarm._control import RobotManager
 from uoarm.bridge import ServiceStructures
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.testing import patience
+from uoarm.testing import Background, patience
 
 SAY = endpoint("voice", "speechGeneration", "service")
 TEXT = "Your pulse is seventy two, and your blood pressure is normal."
@@ -136,22 +137,14 @@ def test_a_device_that_is_closed_while_it_speaks_leaves_no_files_behind() -> Non
     speech = Speech("voice", engine, DeviceOptions(play="never"))
     (api,) = speech.catalogue(0.0).apis.values()
     file = Path(speech.call(api, {"text": "x"}, LIMIT)["file"])
-    raised: list[BridgeError] = []
-
-    def speak() -> None:
-        try:
-            speech.call(api, {"text": "x"}, LIMIT)
-        except BridgeError as error:
-            raised.append(error)
-
-    thread = threading.Thread(target=speak)
-    thread.start()
+    speaking = Background(partial(speech.call, api, {"text": "x"}, LIMIT))
     assert engine.begun.wait(LIMIT)
     speech.close()
     assert file.exists(), "the call that is under way may be writing"
     engine.go_on.set()
-    thread.join(LIMIT)
-    assert [error.reason for error in raised] == [FailureReason.CLOSED]
+    with pytest.raises(BridgeError) as raised:
+        speaking.result()
+    assert raised.value.reason is FailureReason.CLOSED
     assert not file.parent.exists()
 
 

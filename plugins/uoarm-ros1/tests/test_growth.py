@@ -6,6 +6,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -21,7 +22,7 @@ from uoarm_ros1._subscription import _Publisher
 from uoarm.bridge import Bridge, Source
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
-from uoarm.testing import patience, slowness, wait
+from uoarm.testing import Background, patience, slowness, wait
 
 INT = "std_msgs/Int32"
 ANY = MessageStructure(True)
@@ -45,7 +46,7 @@ def questions(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 
 def test_an_answer_is_asked_for_once_for_all_that_wait() -> None:
-    asked, may_answer, found = [], threading.Event(), []
+    asked, may_answer = [], threading.Event()
 
     def ask() -> int:
         asked.append(time.monotonic())
@@ -53,21 +54,13 @@ def test_an_answer_is_asked_for_once_for_all_that_wait() -> None:
         return len(asked)
 
     answer = SharedAnswer(ask)
-    first = threading.Thread(target=lambda: found.append(answer.get()), daemon=True)
-    first.start()
+    first = Background(answer.get)
     wait(lambda: bool(asked), "it is not asked")
     # All of these came after the first question was asked: the second one is for all of them.
     since = time.monotonic()
-    others = [
-        threading.Thread(target=lambda: found.append(answer.get(since)), daemon=True)
-        for _ in range(TOPICS)
-    ]
-    for other in others:
-        other.start()
+    others = [Background(partial(answer.get, since)) for _ in range(TOPICS)]
     may_answer.set()
-    for thread in (first, *others):
-        thread.join(patience())
-    assert sorted(found) == [1, *[2] * TOPICS]
+    assert [call.result() for call in (first, *others)] == [1, *[2] * TOPICS]
     assert answer.get(since) == 2
     assert answer.get() == 3
 

@@ -17,7 +17,7 @@ from uoarm_ros2._services import ServiceClient
 from uoarm_ros2._types import import_type
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.testing import patience, wait
+from uoarm.testing import Background, patience, wait
 
 FIBONACCI = "test_msgs/action/Fibonacci"
 SET_BOOL = "std_srvs/srv/SetBool"
@@ -41,27 +41,6 @@ def server(runner: NodeRunner, ask: Callable[[GoalRequest], None]) -> Any:
     return runner.goal_server(
         ACTION, "/slow", ask, may_cancel=lambda _: True, cancel=lambda _: None
     )
-
-
-def failed(act: Callable[[], object]) -> Callable[[], BridgeError]:
-    """Begin something in a thread; what is returned waits for the error that ends it."""
-    found: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            act()
-        except BaseException as error:  # noqa: BLE001 - whatever it is, it is looked at
-            found.append(error)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-
-    def ended() -> BridgeError:
-        thread.join(patience())
-        assert isinstance(found[0], BridgeError), found
-        return found[0]
-
-    return ended
 
 
 @pytest.mark.parametrize("how", ["closed", "ended by others"])
@@ -167,10 +146,12 @@ def test_a_goal_whose_bridge_closes_in_mid_call_fails(
 
     goals = server(runner, accept)
     action = Action(runner, Ros2Graph(runner, 0.0), "/slow", FIBONACCI)
-    call = failed(lambda: action.call({"order": 3}, patience(), patience(), cancelling))
+    call = Background(lambda: action.call({"order": 3}, patience(), patience(), cancelling))
     wait(lambda: asked.is_set() and reports != [])
     participant.close(patience())
-    assert call().reason is FailureReason.CLOSED
+    with pytest.raises(BridgeError) as caught:
+        call.result()
+    assert caught.value.reason is FailureReason.CLOSED
     assert reports[0]() is False  # no server can be reached any more
 
 
@@ -180,10 +161,12 @@ def test_a_call_whose_bridge_closes_in_mid_call_fails(
     asked = threading.Event()
     runner.server(import_type(SET_BOOL), "/slow", lambda *_: asked.set())
     caller = ServiceClient(runner, Ros2Graph(runner, 0.0), "/slow", SET_BOOL)
-    call = failed(lambda: caller.call({"data": True}, patience(), patience()))
+    call = Background(lambda: caller.call({"data": True}, patience(), patience()))
     assert asked.wait(patience())
     participant.close(patience())
-    assert call().reason is FailureReason.CLOSED
+    with pytest.raises(BridgeError) as caught:
+        call.result()
+    assert caught.value.reason is FailureReason.CLOSED
 
 
 @pytest.mark.parametrize("how", ["closed", "ended by others"])

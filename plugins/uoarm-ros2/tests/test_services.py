@@ -41,7 +41,7 @@ from uoarm.errors import (
     MessageError,
 )
 from uoarm.model import Health, Role
-from uoarm.testing import ManualClock, patience, wait
+from uoarm.testing import Background, ManualClock, patience, wait
 
 BASIC = "test_msgs/srv/BasicTypes"
 SET_BOOL = "std_srvs/srv/SetBool"
@@ -74,17 +74,12 @@ def test_a_call_is_answered(make_bridge: Make, peer: Start) -> None:
 def test_calls_overlap(bridge: Bridge, peer: Start) -> None:
     server = peer("server", "threads")
     server.do("serve", name="/slow", delay=0.2)
-    answers = Inbox()
 
-    def call(number: int) -> None:
-        answers(bridge.call(service("/slow", BASIC), request(int64_value=number))["int64_value"])
+    def call(number: int) -> Any:
+        return bridge.call(service("/slow", BASIC), request(int64_value=number))["int64_value"]
 
-    threads = [threading.Thread(target=call, args=(number,)) for number in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(answers.messages) == [1, 2, 3, 4]
+    calls = [Background(partial(call, number)) for number in range(4)]
+    assert [call.result() for call in calls] == [1, 2, 3, 4]
 
 
 def test_a_late_answer_is_a_time_out_and_harms_no_other_call(bridge: Bridge, peer: Start) -> None:
@@ -364,22 +359,14 @@ def test_an_action_that_an_emergency_stop_ends_is_cancelled(
 ) -> None:
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05)
-    came: list[BaseException] = []
     with RobotManager(loads(reaching(is_hosted=is_hosted))) as robot:
-
-        def call() -> None:
-            try:
-                robot.call("reach", {"order": 2000}, timeout=2 * patience())
-            except CommandRefusedError as error:
-                came.append(error)
-
-        calling = threading.Thread(target=call)
-        calling.start()
+        limit = 2 * patience()
+        calling = Background(partial(robot.call, "reach", {"order": 2000}, timeout=limit))
         server.do("goal_begun")
         (outcome,) = robot.stop_all().inputs
-        calling.join(patience())
+        with pytest.raises(CommandRefusedError, match="the emergency stop cancelled the call"):
+            calling.result()
         assert (outcome.component, outcome.stopped) == ("arm", True)
-        assert "the emergency stop cancelled the call" in str(came[0])
     assert server.do("goal_ends") == ["canceled"]
 
 
@@ -389,17 +376,9 @@ def test_an_emergency_stop_cancels_a_goal_as_soon_as_it_is_accepted(
 ) -> None:
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05, gated=True)
-    came: list[BaseException] = []
     with RobotManager(loads(reaching(is_hosted=is_hosted))) as robot:
-
-        def call() -> None:
-            try:
-                robot.call("reach", {"order": 2000}, timeout=4 * patience())
-            except CommandRefusedError as error:
-                came.append(error)
-
-        calling = threading.Thread(target=call)
-        calling.start()
+        limit = 4 * patience()
+        calling = Background(partial(robot.call, "reach", {"order": 2000}, timeout=limit))
         assert server.do("goal_asked")
 
         def is_cancelled() -> bool:  # no goal ends before it is accepted; a host may answer later
@@ -410,8 +389,8 @@ def test_an_emergency_stop_cancels_a_goal_as_soon_as_it_is_accepted(
         wait(is_cancelled)
         server.do("accept_goals")
         assert server.do("goal_ends") == ["canceled"]
-        calling.join(patience())
-        assert "the emergency stop cancelled the call" in str(came[0])
+        with pytest.raises(CommandRefusedError, match="the emergency stop cancelled the call"):
+            calling.result()
 
 
 def test_a_goal_that_is_cancelled_before_it_is_sent_is_never_sent() -> None:
@@ -524,17 +503,9 @@ def test_goals_of_a_server_that_another_one_replaces_are_lost(
     goal = sink(bridge, endpoint(Role.INPUT, "/fibonacci", FIBONACCI))
     goal.send({"order": 100_000})
     statuses.wait_until(lambda item: item["status"] == "accepted")
-    came: list[BridgeError] = []
-
-    def call() -> None:
-        try:
-            bridge.call(service("/fibonacci", FIBONACCI), {"order": 100_000}, timeout=1e6)
-        except BridgeError as error:
-            came.append(error)
-
     looked = looks(bridge, monkeypatch)
-    calling = threading.Thread(target=call)
-    calling.start()
+    at = service("/fibonacci", FIBONACCI)
+    calling = Background(partial(bridge.call, at, {"order": 100_000}, timeout=1e6))
     wait(lambda: server.do("goals_begun") == 2)
     wait(lambda: looked - {"ros2 uoarm_ros"})
     successor.do("act", name="/fibonacci")
@@ -542,8 +513,8 @@ def test_goals_of_a_server_that_another_one_replaces_are_lost(
     wait(lambda: len(graph.servers("/fibonacci/_action/send_goal")) == 2)
     server.kill()
     assert statuses.wait_until(lambda item: item["status"] == "lost")
-    calling.join(patience())
-    assert "went away in mid-call" in str(came[0])
+    with pytest.raises(BridgeError, match="went away in mid-call"):
+        calling.result()
     goal.send({"order": 3})
     assert statuses.wait_until(lambda item: item["status"] == "succeeded")
 
@@ -569,25 +540,16 @@ def test_a_call_whose_server_another_one_replaces_ends(
 ) -> None:
     server, successor = peer("server", **MORTAL), peer("successor")
     server.do("serve", name="/slow", delay=1e6)
-    came: list[BridgeError] = []
-
-    def call() -> None:
-        try:
-            bridge.call(service("/slow", BASIC), request(), timeout=1e6)
-        except BridgeError as error:
-            came.append(error)
-
     looked = looks(bridge, monkeypatch)
-    calling = threading.Thread(target=call)
-    calling.start()
+    calling = Background(partial(bridge.call, service("/slow", BASIC), request(), timeout=1e6))
     assert server.do("request_begun")
     wait(lambda: looked - {"ros2 uoarm_ros"})
     successor.do("serve", name="/slow")
     graph = bridge._graph  # type: ignore[attr-defined]  # of DDS
     wait(lambda: len(graph.servers("/slow")) == 2)
     server.kill()
-    calling.join(patience())
-    assert "service /slow went away in mid-call" in str(came[0])
+    with pytest.raises(BridgeError, match="service /slow went away in mid-call"):
+        calling.result()
 
 
 class EarlyAnswers:
