@@ -69,20 +69,15 @@ def test_a_death_in_mid_flow_harms_no_other_channel(bridge: Bridge, peer: Start)
     inbox = Inbox()
     source(bridge, endpoint(Role.OUTPUT, "Other.rtc", "out"), inbox)
     into = sink(bridge, IN)
-    failures: list[Exception] = []
 
     def flood() -> None:
-        try:
-            while True:
-                into.send(stamped(1))
-        except BridgeError as error:
-            failures.append(error)
+        while True:
+            into.send(stamped(1))
 
-    flooding = threading.Thread(target=flood)
-    flooding.start()
+    flooding = Background(flood)
     mortal.kill()
-    flooding.join(patience())
-    assert len(failures) == 1
+    with pytest.raises(BridgeError):
+        flooding.result()
     other.count(0, 3)
     inbox.wait_for(3)
 

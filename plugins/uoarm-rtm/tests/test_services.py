@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -270,7 +271,6 @@ def test_a_component_of_ours_that_is_made_while_its_bridge_closes_is_removed(
     bridge: Any = make_bridge(component="Manager")
     other: Any = make_bridge("other")
     made, go = threading.Event(), threading.Event()
-    refused: list[BridgeError] = []
 
     def slow(*words: Any) -> OwnComponent:
         own = OwnComponent(*words)
@@ -278,16 +278,9 @@ def test_a_component_of_ours_that_is_made_while_its_bridge_closes_is_removed(
         assert go.wait(patience())
         return own
 
-    def opening() -> None:
-        said = endpoint(Role.INPUT, "self", "said", "RTC::TimedLong")
-        try:
-            bridge._open_sink(said, MessageStructure({}))
-        except BridgeError as error:
-            refused.append(error)
-
     monkeypatch.setattr(_bridge, "OwnComponent", slow)
-    thread = threading.Thread(target=opening)
-    thread.start()
+    said = endpoint(Role.INPUT, "self", "said", "RTC::TimedLong")
+    opening = Background(partial(bridge._open_sink, said, MessageStructure({})))
     try:
         assert made.wait(patience())
         assert is_bound(other, "Manager.rtc")
@@ -296,8 +289,9 @@ def test_a_component_of_ours_that_is_made_while_its_bridge_closes_is_removed(
         bridge.close(timeout=patience())
     finally:
         go.set()
-        thread.join(patience())
-    assert [bridge_error.reason for bridge_error in refused] == [FailureReason.CLOSED]
+    with pytest.raises(BridgeError) as refused:
+        opening.result()
+    assert refused.value.reason is FailureReason.CLOSED
     assert not is_bound(other, "Manager.rtc")
 
 
@@ -426,7 +420,7 @@ def test_of_ports_of_one_name_that_open_at_once_one_is_there(
     opened, refused = [], []
     for opening in [Background(begin) for _ in range(2)]:
         try:
-            opened.append(opening.result(patience()))
+            opened.append(opening.result())
         except BridgeError as error:
             refused.append(str(error))
     assert (len(opened), len(refused)) == (1, 1)
