@@ -14,21 +14,11 @@ functions:
   numbers:
     components:
       - {name: counter, bridge: python, output: {endpoint: ["components:numbers"]}}
-  picture:
-    components:
-      - {name: eye, bridge: python, output: {endpoint: ["components:picture"]}}
-  shown:
-    components:
-      - {name: shower, bridge: python, output: {endpoint: ["components:shown"]}}
-  loose:
-    components:
-      - {name: loose, bridge: python, output: {endpoint: ["components:loose"]}}
-  odd:
-    components:
-      - {name: odd, bridge: python, output: {endpoint: ["components:odd"]}}
-  level:
-    components:
-      - {name: level, bridge: python, output: {endpoint: ["components:level"]}}
+  picture: {components: [{name: eye, bridge: python, output: {endpoint: ["components:picture"]}}]}
+  shown: {components: [{name: shower, bridge: python, output: {endpoint: ["components:shown"]}}]}
+  loose: {components: [{name: loose, bridge: python, output: {endpoint: ["components:loose"]}}]}
+  odd: {components: [{name: odd, bridge: python, output: {endpoint: ["components:odd"]}}]}
+  level: {components: [{name: level, bridge: python, output: {endpoint: ["components:level"]}}]}
   doubled:
     components:
       - name: doubler
@@ -47,12 +37,8 @@ functions:
         bridge: python
         input: {endpoint: ["components:note"]}
         output: {endpoint: ["components:note"]}
-  add:
-    components:
-      - {name: adder, bridge: python, service: {endpoint: ["components:add"]}}
-  broken:
-    components:
-      - {name: broken, bridge: python, service: {endpoint: ["components:broken"]}}
+  add: {components: [{name: adder, bridge: python, service: {endpoint: ["components:add"]}}]}
+  broken: {components: [{name: broken, bridge: python, service: {endpoint: ["components:broken"]}}]}
 """
 
 Int32 = Annotated[int, Range(-(2**31), 2**31 - 1)]

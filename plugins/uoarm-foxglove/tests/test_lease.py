@@ -31,9 +31,7 @@ functions:
           lifetime: 3600
           stop: {message: {v: 0}}
           lease: {duration: 3600}
-  gone:
-    components:
-      - {name: gone, bridge: memory, input: {endpoint: [gone]}}
+  gone: {components: [{name: gone, bridge: memory, input: {endpoint: [gone]}}]}
 """
 SPEED = {"type": "object", "properties": {"v": {"type": "integer"}}, "required": ["v"]}
 

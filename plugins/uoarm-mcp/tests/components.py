@@ -29,12 +29,8 @@ functions:
     approve: true
     components:
       - {name: diary, bridge: python, service: {endpoint: ["components:add"]}}
-  many:
-    components:
-      - {name: many, bridge: python, service: {endpoint: ["components:many"]}}
-  slow:
-    components:
-      - {name: slow, bridge: python, service: {endpoint: ["components:slow"]}}
+  many: {components: [{name: many, bridge: python, service: {endpoint: ["components:many"]}}]}
+  slow: {components: [{name: slow, bridge: python, service: {endpoint: ["components:slow"]}}]}
   odd:
     components:
       - name: odd
@@ -48,9 +44,7 @@ functions:
               most: {type: integer, maximum: 1180591620717411303424}
               inner: {type: array, items: {$ref: "#"}}
           reply: *odd
-  broken:
-    components:
-      - {name: broken, bridge: python, service: {endpoint: ["components:broken"]}}
+  broken: {components: [{name: broken, bridge: python, service: {endpoint: ["components:broken"]}}]}
   cuff:
     description: the arm cuff presses
     components:

@@ -22,9 +22,7 @@ version: 1
 bridges: {ros: {plugin: ros2}, memory: {}, status: {}}
 functions:
   camera: {components: [{name: camera, bridge: memory, output: {endpoint: [camera]}}]}
-  diagnostics:
-    components:
-      - {name: manager, bridge: status, output: {endpoint: [diagnostics]}}
+  diagnostics: {components: [{name: manager, bridge: status, output: {endpoint: [diagnostics]}}]}
 offer:
   ros:
     diagnostics: {output: {endpoint: [/diagnostics, diagnostic_msgs/msg/DiagnosticArray]}}

@@ -42,18 +42,10 @@ functions:
         bridge: python
         input: {endpoint: ["components:echo"], queue: {length: 1000}}
         output: {endpoint: ["components:echo"]}
-  add:
-    components:
-      - {name: adder, bridge: python, service: {endpoint: ["components:add"]}}
-  slow:
-    components:
-      - {name: slow, bridge: python, service: {endpoint: ["components:slow"]}}
-  broken:
-    components:
-      - {name: broken, bridge: python, service: {endpoint: ["components:broken"]}}
-  late:
-    components:
-      - {name: late, bridge: python, output: {endpoint: ["components:late"]}}
+  add: {components: [{name: adder, bridge: python, service: {endpoint: ["components:add"]}}]}
+  slow: {components: [{name: slow, bridge: python, service: {endpoint: ["components:slow"]}}]}
+  broken: {components: [{name: broken, bridge: python, service: {endpoint: ["components:broken"]}}]}
+  late: {components: [{name: late, bridge: python, output: {endpoint: ["components:late"]}}]}
   typed:
     components:
       - name: typed
