@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
-from attrs import define, evolve
+from attrs import define, evolve, field
 
 from uoarm._backoff import Backoff
 from uoarm._bridges._machines import Joining, Machines
@@ -426,23 +426,17 @@ class BridgeSet:
         return bridge
 
 
+@define(eq=False)
 class StagedBridges:
     """The bridges of a configuration that is not in force yet; new ones start when needed."""
 
-    def __init__(
-        self,
-        running: BridgeSet,
-        before: Mapping[str, BridgeSpec],
-        specs: Mapping[str, BridgeSpec],
-        joining: Joining,
-    ) -> None:
-        self._running = running
-        self._before = before
-        # Held while a bridge starts: two threads that ask for structures must not start it twice.
-        self._lock = threading.Lock()
-        self.specs = specs
-        self.joining = joining
-        self.made: dict[str, Bridge] = {}
+    _running: BridgeSet
+    _before: Mapping[str, BridgeSpec]
+    specs: Mapping[str, BridgeSpec]
+    joining: Joining
+    # Held while a bridge starts: two threads that ask for structures must not start it twice.
+    _lock: threading.Lock = field(factory=threading.Lock, init=False)
+    made: dict[str, Bridge] = field(factory=dict, init=False)
 
     def get(self, name: str) -> Bridge:
         """Return the bridge of this name, starting it when it is the first time.

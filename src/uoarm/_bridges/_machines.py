@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from attrs import frozen
+from attrs import define, field, frozen
 
 from uoarm._origin import install_command
 from uoarm.bridge import HealthEvent
@@ -227,6 +227,7 @@ def _listed(bridges: list[str]) -> str:
     return f"bridge{'s' * (len(bridges) > 1)} {', '.join(bridges)}"
 
 
+@define(eq=False)
 class _Listener:
     """Listens at one address, from the first need on; tries again where that failed.
 
@@ -234,18 +235,15 @@ class _Listener:
         before: who listens there until this one does.
     """
 
-    def __init__(
-        self, listening: Listening | None, names: frozenset[str], before: _Listener | None = None
-    ) -> None:
-        self.listening = listening
-        self._names = names
-        self._before = before
-        # Held while it begins to listen: who needs it meanwhile waits for the one address, and
-        # none opens it after the end.
-        self._lock = threading.Lock()
-        self._closed = False
-        self.opened: MachineRegistry | None = None
-        self.problem = ""
+    listening: Listening | None
+    _names: frozenset[str]
+    _before: _Listener | None = None
+    # Held while it begins to listen: who needs it meanwhile waits for the one address, and
+    # none opens it after the end.
+    _lock: threading.Lock = field(factory=threading.Lock, init=False)
+    _closed: bool = field(default=False, init=False)
+    opened: MachineRegistry | None = field(default=None, init=False)
+    problem: str = field(default="", init=False)
 
     @property
     def is_open(self) -> bool:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
+
+from attrs import define, field
 
 from uoarm._bridges import BridgeSet
 from uoarm._control.candidates import CandidateWatch
@@ -47,6 +49,7 @@ from uoarm.model import (
 )
 
 
+@define(eq=False)
 class Requests:
     """Finds plans and opens connections, for any thread.
 
@@ -55,20 +58,12 @@ class Requests:
         events: where what a callback raises is reported.
     """
 
-    def __init__(
-        self,
-        revisions: Revisions,
-        driver: Driver,
-        candidates: CandidateWatch,
-        events: EventDispatcher,
-        clock: Clock,
-    ) -> None:
-        self._revisions = revisions
-        self._driver = driver
-        self._candidates = candidates
-        self._events = events
-        self._clock = clock
-        self._numbers = itertools.count(1)
+    _revisions: Revisions
+    _driver: Driver
+    _candidates: CandidateWatch
+    _events: EventDispatcher
+    _clock: Clock
+    _numbers: Iterator[int] = field(factory=lambda: itertools.count(1), init=False)
 
     def resolve(self, name: str, timeout: float) -> Plan:
         """Return the plan that `open` would open; errors are those of `RobotManager.resolve`."""
@@ -168,6 +163,7 @@ def _reference(name: str) -> PortRef:
     return PortRef(function, port if dot else None)
 
 
+@define(eq=False)
 class Services:
     """Calls services and watches those that have raised. Thread safe.
 
@@ -176,19 +172,13 @@ class Services:
         driver: takes the verdict on one where it changes.
     """
 
-    def __init__(
-        self,
-        bridges: BridgeSet,
-        driver: Driver,
-        clock: Clock,
-    ) -> None:
-        self._bridges = bridges
-        self._driver = driver
-        self._clock = clock
-        # Guards the order of watches: the newest are kept, and two threads may begin one each.
-        self._lock = threading.Lock()
-        self._watches: dict[str, tuple[Component, FailureWatch]] = {}
-        self._gone: set[str] = set()
+    _bridges: BridgeSet
+    _driver: Driver
+    _clock: Clock
+    # Guards the order of watches: the newest are kept, and two threads may begin one each.
+    _lock: threading.Lock = field(factory=threading.Lock, init=False)
+    _watches: dict[str, tuple[Component, FailureWatch]] = field(factory=dict, init=False)
+    _gone: set[str] = field(factory=set, init=False)
 
     def call(
         self,

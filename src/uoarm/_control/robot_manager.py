@@ -104,7 +104,7 @@ class RobotManager(RobotView):
             robot,
             self._bridges,
             clock,
-            self._differs,
+            lambda place, difference: self._events.post(f"lock {place}", "differs", difference),
         )
         self._driver = Driver(
             bridges=self._bridges,
@@ -485,9 +485,6 @@ class RobotManager(RobotView):
     def _noticed(self, event: HealthEvent) -> None:
         if not self._driver.offers.reported(event):
             self._driver.report(event)
-
-    def _differs(self, place: str, difference: str) -> None:
-        self._events.post(f"lock {place}", "differs", difference)
 
     def __repr__(self) -> str:
         name = self.config.origin or "in memory"

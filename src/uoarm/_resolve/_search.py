@@ -57,6 +57,7 @@ class _Refusal:
     because_of: tuple[Rejection, ...] = ()
 
 
+@define(eq=False)
 class Search:
     """One search for one plan; used once.
 
@@ -66,32 +67,22 @@ class Search:
         excluded: names of components that may not be used.
         budget: candidates tried at most.
         clock: a monotonic clock, in seconds.
+
+    Attributes:
+        seconds_unavailable: spent on components that were not available; None: all were.
     """
 
-    def __init__(
-        self,
-        functions: Mapping[str, Function],
-        fit: EdgeChecks,
-        excluded: frozenset[str],
-        budget: int,
-        clock: Callable[[], float],
-    ) -> None:
-        self._functions = functions
-        self._fit = fit
-        self._excluded = excluded
-        self._budget = budget
-        self._clock = clock
-        self._seconds_unavailable: float | None = None
-        self._checked = 0.0
-        self._frames: list[_Frame] = []
-        self._assigned: dict[str, _Frame] = {}
-        self._demands: dict[str, list[tuple[int, Component, Input]]] = {}
-        self._impossible: dict[str, tuple[Rejection, ...]] = {}
-
-    @property
-    def seconds_unavailable(self) -> float | None:
-        """Seconds spent on components that were not available; None: all that were tried were."""
-        return self._seconds_unavailable
+    _functions: Mapping[str, Function]
+    _fit: EdgeChecks
+    _excluded: frozenset[str]
+    _budget: int
+    _clock: Callable[[], float]
+    seconds_unavailable: float | None = field(default=None, init=False)
+    _checked: float = field(default=0.0, init=False)
+    _frames: list[_Frame] = field(factory=list, init=False)
+    _assigned: dict[str, _Frame] = field(factory=dict, init=False)
+    _demands: dict[str, list[tuple[int, Component, Input]]] = field(factory=dict, init=False)
+    _impossible: dict[str, tuple[Rejection, ...]] = field(factory=dict, init=False)
 
     def run(self, name: str) -> Plan | tuple[Rejection, ...]:
         """Return the plan, or the rejected candidates of the function asked for.
@@ -148,7 +139,7 @@ class Search:
         begun = self._clock()
         structures = self._fit.structures(candidate)
         if not isinstance(structures, Structures):
-            self._seconds_unavailable = (self._seconds_unavailable or 0.0) + self._clock() - begun
+            self.seconds_unavailable = (self.seconds_unavailable or 0.0) + self._clock() - begun
             return _Refusal((Reason(structures.sentence, error_code="UOA-212"),))
         mistakes = command_mistakes(candidate, structures)
         if mistakes:

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NoReturn
 
+from attrs import define, field
+
 from uoarm.cdr._layout import (
     SIZES,
     SWITCH,
@@ -89,6 +91,7 @@ def _part_reader(
     return source.function()
 
 
+@define(eq=False)
 class _ReadingText:
     """Writes the lines for a layout. `value` returns the expression of what was read.
 
@@ -96,23 +99,15 @@ class _ReadingText:
     in `run` are assigned when the run is flushed; `late` are the lines that then follow.
     """
 
-    def __init__(
-        self,
-        source: SourceText,
-        encoding: Encoding,
-        order: ByteOrder,
-        budget: Budget | None,
-        start: int | None,
-    ) -> None:
-        self._source = source
-        self._encoding = encoding
-        self._order = order
-        self._budget = budget
-        self._start = start  # of the octets, until the text has `o`
-        self._blocks = 0
-        self._format = ""
-        self._run: list[str] = []
-        self._late: list[tuple[Path, str]] = []
+    _source: SourceText
+    _encoding: Encoding
+    _order: ByteOrder
+    _budget: Budget | None
+    _start: int | None  # of the octets, until the text has `o`
+    _blocks: int = field(default=0, init=False)
+    _format: str = field(default="", init=False)
+    _run: list[str] = field(factory=list, init=False)
+    _late: list[tuple[Path, str]] = field(factory=list, init=False)
 
     def value(self, layout: Layout) -> str:
         if isinstance(layout, RecordLayout):

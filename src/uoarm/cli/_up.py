@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
+from attrs import define, field
 
 from uoarm import RobotManager
 from uoarm._raised import foreign, sentence_of
@@ -90,6 +91,7 @@ def up(
                 raise
 
 
+@define(eq=False, slots=False)
 class _Follower:
     """Gives a function to whatever is seen, and prints what is different each time.
 
@@ -100,20 +102,12 @@ class _Follower:
         echo: prints a line.
     """
 
-    def __init__(
-        self,
-        manager: RobotManager,
-        *,
-        unfed: tuple[str, ...] = (),
-        as_json: bool,
-        echo: Callable[[str], None] = echo,
-    ) -> None:
-        self._manager = manager
-        self._unfed = unfed
-        self._as_json = as_json
-        self._echo = echo
-        self._findings: tuple[BridgeFindings, ...] = ()
-        self._functions: dict[str, str] = {}
+    _manager: RobotManager
+    _unfed: tuple[str, ...] = field(default=(), kw_only=True)
+    _as_json: bool = field(kw_only=True)
+    _echo: Callable[[str], None] = field(default=echo, kw_only=True)
+    _findings: tuple[BridgeFindings, ...] = field(default=(), init=False)
+    _functions: dict[str, str] = field(factory=dict, init=False)
 
     def look(self) -> None:
         """Look once.

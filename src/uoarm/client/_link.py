@@ -12,6 +12,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
+from attrs import define, field
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.frames import CloseCode
 
@@ -49,11 +50,17 @@ Open = Callable[[], Awaitable[ClientSocket]]
 Take = Callable[[Mapping[str, Any]], None]
 
 
+def _backoff() -> Backoff:
+    # Clients that lost the same server come back at different moments.
+    return Backoff(first=0.05, most=5.0, jitter=0.5, seed=random.getrandbits(32))
+
+
+@define(eq=False)
 class Link:
     """Sends and receives control messages; all methods but `send_at_once` in one loop.
 
     Args:
-        opening: makes a WebSocket.
+        open: makes a WebSocket.
         form: in which messages are.
         take: gets each message of the server but those about resuming.
         again_seconds: how long to try to begin a new session where this one is gone; 0: not at all.
@@ -71,45 +78,32 @@ class Link:
         trouble: why the connection dropped and is not there again yet; "": it is.
     """
 
-    def __init__(
-        self,
-        opening: Open,
-        form: Form,
-        take: Take,
-        again_seconds: float = 0.0,
-        lost: Callable[[str], object] = str,
-        begun: Callable[[], None] = lambda: None,
-        went_on: Callable[[Sequence[Mapping[str, Any]]], object] = len,
-        changed: Callable[[str], object] = str,
-    ) -> None:
-        self.place = "the server"
-        self._open = opening
-        self._form = form
-        self._take = take
-        self._socket: ClientSocket | None = None
-        self._ready = asyncio.Event()
-        self._unanswered: dict[str, None] = {}
-        # Guards, between the loop and threads that send at once, over what is sent: what a thread
-        # sent over the connection before is among the unanswered when the session is taken up.
-        self._changing = threading.Lock()
-        self._at_once: ClientSocket | None = None  # None: the loop must send
-        self._key = ""
-        self._seconds = 0.0
-        self._again_seconds = again_seconds
-        self._lost = lost
-        self._begun = begun
-        self._went_on = went_on
-        self._changed = changed
-        # Clients that lost the same server come back at different moments.
-        seed = random.getrandbits(32)
-        self._backoff = Backoff(first=0.05, most=5.0, jitter=0.5, seed=seed)
-        self._resume = False
-        self._is_final = False
-        self.resumed = 0
-        self.session = 0
-        self.most: int | None = None
-        self.closed = ""
-        self.trouble = ""
+    _open: Open
+    _form: Form
+    _take: Take
+    _again_seconds: float = 0.0
+    _lost: Callable[[str], object] = str
+    _begun: Callable[[], None] = lambda: None
+    _went_on: Callable[[Sequence[Mapping[str, Any]]], object] = len
+    _changed: Callable[[str], object] = str
+    place: str = field(default="the server", init=False)
+    _socket: ClientSocket | None = field(default=None, init=False)
+    _ready: asyncio.Event = field(factory=asyncio.Event, init=False)
+    _unanswered: dict[str, None] = field(factory=dict, init=False)
+    # Guards, between the loop and threads that send at once, over what is sent: what a thread
+    # sent over the connection before is among the unanswered when the session is taken up.
+    _changing: threading.Lock = field(factory=threading.Lock, init=False)
+    _at_once: ClientSocket | None = field(default=None, init=False)  # None: the loop must send
+    _key: str = field(default="", init=False)
+    _seconds: float = field(default=0.0, init=False)
+    _backoff: Backoff = field(factory=_backoff, init=False)
+    _resume: bool = field(default=False, init=False)
+    _is_final: bool = field(default=False, init=False)
+    resumed: int = field(default=0, init=False)
+    session: int = field(default=0, init=False)
+    most: int | None = field(default=None, init=False)
+    closed: str = field(default="", init=False)
+    trouble: str = field(default="", init=False)
 
     async def start(self, *, resume: bool) -> None:
         """Connect; with `resume` ask the server to keep the session over drops."""

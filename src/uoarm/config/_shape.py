@@ -274,7 +274,8 @@ def _no_branch_fits(
         return
     present = [kind for kind in _RULE_KINDS if kind in value]
     if len(present) != 1:
-        sentence = f"expected exactly one of from, const and each, got {_keys(value)}"
+        got = clip(list(value)) if value else "an empty mapping"
+        sentence = f"expected exactly one of from, const and each, got {got}"
         yield path, sentence, "", False
         return
     branch = kinds.index(present[0])
@@ -290,10 +291,6 @@ def _simple_choice(path: Path, value: Any, speller: Speller) -> Mistake:
         wrong = next((item for item in value if item not in [*TYPES]), value)
     sentence = f"expected {any_of(TYPES)}, got {clip(wrong)}"
     return path, sentence, near(wrong, TYPES, speller), False
-
-
-def _keys(value: Mapping[str, object]) -> str:
-    return clip(list(value)) if value else "an empty mapping"
 
 
 ASSIGN = "x-uoarm-assign"

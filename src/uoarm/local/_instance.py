@@ -8,6 +8,8 @@ from collections.abc import AsyncIterator, Callable, Hashable, Iterable, Iterato
 from functools import partial
 from typing import Any, TypeAlias
 
+from attrs import define, field
+
 from uoarm._hints.convert import plain
 from uoarm._raised import foreign
 from uoarm._support.workers import WorkerPool
@@ -22,6 +24,7 @@ Write: TypeAlias = Callable[[Any], Message] | None
 Receivers: TypeAlias = Mapping[str, tuple[tuple[Hashable, Deliver], ...]]
 
 
+@define(eq=False)
 class IteratedSource:
     """Iterates in a worker thread from the first listener's coming to the last one's leaving.
 
@@ -38,21 +41,14 @@ class IteratedSource:
         failure: what the iteration raised; it is not begun again.
     """
 
-    def __init__(
-        self,
-        iterate: Callable[[], Iterator[Any]],
-        emitter: Callable[[], Callable[[Any], None]],
-        name: str,
-        workers: WorkerPool,
-    ) -> None:
-        self._iterate = iterate
-        self._emitter = emitter
-        self._name = name
-        self._workers = workers
-        self._changing = threading.Lock()
-        self._listeners: dict[Hashable, Finished] = {}
-        self._run: _Run | None = None
-        self.failure: Exception | None = None
+    _iterate: Callable[[], Iterator[Any]]
+    _emitter: Callable[[], Callable[[Any], None]]
+    _name: str
+    _workers: WorkerPool
+    _changing: threading.Lock = field(factory=threading.Lock, init=False)
+    _listeners: dict[Hashable, Finished] = field(factory=dict, init=False)
+    _run: _Run | None = field(default=None, init=False)
+    failure: Exception | None = field(default=None, init=False)
 
     def add_listener(self, key: Hashable, finished: Finished) -> None:
         """Start iterating unless it does already.
@@ -105,21 +101,15 @@ class IteratedSource:
             finished(failure)
 
 
+@define(eq=False)
 class _Run:
     """One iteration from its beginning to its end."""
 
-    def __init__(
-        self,
-        messages: Iterator[Any],
-        emitter: Callable[[], Callable[[Any], None]],
-        ended: Callable[[_Run, Exception | None], None],
-        name: str,
-    ) -> None:
-        self._messages = messages
-        self._emitter = emitter
-        self._ended = ended
-        self._name = name
-        self.stopped = False
+    _messages: Iterator[Any]
+    _emitter: Callable[[], Callable[[Any], None]]
+    _ended: Callable[[_Run, Exception | None], None]
+    _name: str
+    stopped: bool = field(default=False, init=False)
 
     def work(self) -> None:
         thread = threading.current_thread()

@@ -185,7 +185,7 @@ def _nonfinite(producer: SchemaNode, known: Sequence[Loss], meter: Meter) -> lis
         if not waiting:
             break
         node, path = waiting.pop()
-        if _says_nonfinite(node):
+        if isinstance(node.raw, Mapping) and node.raw.get("x-nonfinite") is True:
             places.add(write_path(path))
         meter.spend()
         meter.hold(_OF_PAIR)
@@ -199,10 +199,6 @@ def _nonfinite(producer: SchemaNode, known: Sequence[Loss], meter: Meter) -> lis
         return []
     more = f", here and in {len(others) - 1:,} more places" if others[1:] else ""
     return [Loss(others[0], "nonfinite", f"{_NONFINITE}{more}")]
-
-
-def _says_nonfinite(node: SchemaNode) -> bool:
-    return isinstance(node.raw, Mapping) and node.raw.get("x-nonfinite") is True
 
 
 def _gather_losses(

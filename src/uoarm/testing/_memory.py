@@ -184,7 +184,7 @@ class MemoryBridge(Bridge):
     ) -> Channel:
         name = endpoint.address[0]
         self._add(name, MemoryService(structures.request, structures.reply, handler))
-        return Channel(endpoint, lambda: self._withdraw(name))
+        return Channel(endpoint, lambda: self._components.pop(name, None))
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         producer, consumer = self._find(source), self._find(sink)
@@ -223,9 +223,6 @@ class MemoryBridge(Bridge):
     def _require_link(self) -> None:
         if self._is_cut:
             raise BridgeError(self._is_cut, FailureReason.UNAVAILABLE)
-
-    def _withdraw(self, name: str) -> None:
-        self._components.pop(name, None)
 
     def _endpoints(self, name: str) -> tuple[Endpoint, ...]:
         component = self._components[name]

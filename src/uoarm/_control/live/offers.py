@@ -9,6 +9,8 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 
+from attrs import define, field
+
 from uoarm._bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
@@ -29,6 +31,7 @@ _LEAVING_SECONDS = 5.0
 _CHANGES = frozenset({"failed", "closed", "waiting", "replaced"})
 
 
+@define(eq=False)
 class Offers:
     """Keeps what the configuration in force offers open, once it has begun. Thread safe.
 
@@ -38,38 +41,29 @@ class Offers:
         events: listened to for what becomes of the connections behind offers.
     """
 
-    def __init__(
-        self,
-        owner: StateOwner,
-        revisions: Revisions,
-        functions: Functions,
-        bridges: BridgeSet,
-        events: EventDispatcher,
-        clock: Clock,
-    ) -> None:
-        self._records = LimitedLog(_log)
-        self._owner = owner
-        self._revisions = revisions
-        self._functions = functions
-        self._bridges = bridges
-        self._events = events
-        self._clock = clock
-        # Guards what is wanted, up to its event: a change of configuration adds some while the
-        # manager closes.
-        self._wanting = threading.Lock()
-        self._wanted: Mapping[str, Offer] = {}
-        self._has_begun = False
-        self._is_closed = False
-        self._stop_listening: Callable[[], None] | None = None
-        # Each entry is written in the lane of its offer, and read by any thread. With the number of
-        # its opening, so that no report is taken for one of the next.
-        self._opened: dict[str, tuple[int, OfferedFunction]] = {}
-        # By the id of a connection, the offer that it is behind; written in the same lane. A look
-        # at every offer after each event of a connection would be quadratic.
-        self._behind: dict[str, str] = {}
-        self._working: set[int] = set()  # threads
-        # Guards nothing: what is waited for is in the state, which is set before `wake`.
-        self._changed = threading.Condition()
+    _owner: StateOwner
+    _revisions: Revisions
+    _functions: Functions
+    _bridges: BridgeSet
+    _events: EventDispatcher
+    _clock: Clock
+    _records: LimitedLog = field(factory=lambda: LimitedLog(_log), init=False)
+    # Guards what is wanted, up to its event: a change of configuration adds some while the
+    # manager closes.
+    _wanting: threading.Lock = field(factory=threading.Lock, init=False)
+    _wanted: Mapping[str, Offer] = field(factory=dict, init=False)
+    _has_begun: bool = field(default=False, init=False)
+    _is_closed: bool = field(default=False, init=False)
+    _stop_listening: Callable[[], None] | None = field(default=None, init=False)
+    # Each entry is written in the lane of its offer, and read by any thread. With the number of
+    # its opening, so that no report is taken for one of the next.
+    _opened: dict[str, tuple[int, OfferedFunction]] = field(factory=dict, init=False)
+    # By the id of a connection, the offer that it is behind; written in the same lane. A look
+    # at every offer after each event of a connection would be quadratic.
+    _behind: dict[str, str] = field(factory=dict, init=False)
+    _working: set[int] = field(factory=set, init=False)  # threads
+    # Guards nothing: what is waited for is in the state, which is set before `wake`.
+    _changed: threading.Condition = field(factory=threading.Condition, init=False)
 
     def begin(self, timeout: float) -> tuple[OfferStatus, ...]:
         """Open what is offered and keep it open; waits until each was tried once. Idempotent."""

@@ -12,7 +12,7 @@ from functools import partial
 from itertools import chain
 from typing import Protocol, TypeVar
 
-from attrs import define
+from attrs import define, field
 
 from uoarm._bridges import BridgeSet
 from uoarm._control.engine import actions as act
@@ -173,6 +173,7 @@ class _LeavingComponents:
             return len(hanging)
 
 
+@define(eq=False)
 class LiveParts:
     """The objects of open parts.
 
@@ -182,30 +183,21 @@ class LiveParts:
         announce: takes a subject, a change, its cause and the function, for listeners.
     """
 
-    def __init__(
-        self,
-        owner: StateOwner,
-        bridges: BridgeSet,
-        clock: Clock,
-        judged: Callable[[int, Health, str], None],
-        emergency_stop: EmergencyStop,
-        announce: Callable[[str, str, str, str], None],
-    ) -> None:
-        self._bridges = bridges
-        self._judged = judged
-        self._owner = owner
-        self._clock = clock
-        self.emergency_stop = emergency_stop
-        self._announce = announce
-        # By the ids of the state. Lanes add what they have opened, and the owner of the state takes
-        # out what is to be closed, in one call each; who goes over one makes a copy first. What is
-        # not here any more as a lane comes to it was given up: `open` takes the `KeyError` so.
-        self.runtimes: dict[str, ConnectionRuntime] = {}
-        self.components: dict[int, LiveComponent] = {}
-        self.edges: dict[int, LiveEdge] = {}
-        self.ports: dict[int, ApplicationPorts] = {}
-        self._draining: dict[str, Ending] = {}
-        self._leaving = _LeavingComponents()
+    _owner: StateOwner
+    _bridges: BridgeSet
+    _clock: Clock
+    _judged: Callable[[int, Health, str], None]
+    emergency_stop: EmergencyStop
+    _announce: Callable[[str, str, str, str], None]
+    # By the ids of the state. Lanes add what they have opened, and the owner of the state takes
+    # out what is to be closed, in one call each; who goes over one makes a copy first. What is
+    # not here any more as a lane comes to it was given up: `open` takes the `KeyError` so.
+    runtimes: dict[str, ConnectionRuntime] = field(factory=dict, init=False)
+    components: dict[int, LiveComponent] = field(factory=dict, init=False)
+    edges: dict[int, LiveEdge] = field(factory=dict, init=False)
+    ports: dict[int, ApplicationPorts] = field(factory=dict, init=False)
+    _draining: dict[str, Ending] = field(factory=dict, init=False)
+    _leaving: _LeavingComponents = field(factory=_LeavingComponents, init=False)
 
     def shared(self) -> tuple[LiveComponent, ...]:
         """Return the components that are in use and well enough to be shared."""

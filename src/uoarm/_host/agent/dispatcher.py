@@ -78,8 +78,10 @@ class RequestDispatcher:
             "halt": self._halt,
             "release": self._release,
             "stop_all": self._stop_all,
-            "close_channel": self._close_channel,
-            "close": self._close,
+            "close_channel": lambda request: self._flows.close(
+                request["flow"], request["sent"], request["timeout"]
+            ),
+            "close": lambda request: self._bridge.close(timeout=request["timeout"]),
         }
 
     def begin(self) -> None:
@@ -218,12 +220,6 @@ class RequestDispatcher:
         sink = self._flows.sink(int.from_bytes(number, "big"))
         if sink is not None:
             sink.begin_close()
-
-    def _close_channel(self, request: Request) -> int:
-        return self._flows.close(request["flow"], request["sent"], request["timeout"])
-
-    def _close(self, request: Request) -> None:
-        self._bridge.close(timeout=request["timeout"])
 
     def _noticed(self, event: HealthEvent) -> None:
         """Take an event in the bridge's thread; what concerns a source goes with its messages."""

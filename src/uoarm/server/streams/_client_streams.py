@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from attrs import frozen
+from attrs import define, field, frozen
 
 from uoarm._control import Connection
 from uoarm._support.aio_deadlines import result_within
@@ -59,6 +59,7 @@ class _End(NamedTuple):
     frame: bytes
 
 
+@define(eq=False)
 class ClientStreams:
     """Streams and input senders of one client by connection id, in the loop's thread.
 
@@ -71,32 +72,22 @@ class ClientStreams:
         shown: returns a text as the client may read it.
     """
 
-    def __init__(
-        self,
-        registry: FeedRegistry,
-        client: Subscriber,
-        form: Form,
-        holder: LeaseHolder,
-        on_refused: Callable[[str, MessageError], None],
-        shown: Callable[[str], str],
-    ) -> None:
-        self._registry = registry
-        self._client = client
-        self._form = form
-        self._limits = client.limits
-        self._holder = holder
-        self._on_refused = on_refused
-        self._shown = shown
-        self._streams: dict[str, Stream] = {}
-        self._sendings: dict[str, InputSender] = {}
-        # The last ends by connection, for a client that comes back: those of more streams than it
-        # may have are old.
-        self._ends: dict[str, _End] = {}
-        # By connection, who waits for its end; set before the kill begins, so that a second one
-        # joins it.
-        self._killing: dict[str, list[Callable[[], None]]] = {}
-        # Requests under way: they count against the limit, or many at once would pass it.
-        self._opening = 0
+    _registry: FeedRegistry
+    _client: Subscriber
+    _form: Form
+    _holder: LeaseHolder
+    _on_refused: Callable[[str, MessageError], None]
+    _shown: Callable[[str], str]
+    _streams: dict[str, Stream] = field(factory=dict, init=False)
+    _sendings: dict[str, InputSender] = field(factory=dict, init=False)
+    # The last ends by connection, for a client that comes back: those of more streams than it
+    # may have are old.
+    _ends: dict[str, _End] = field(factory=dict, init=False)
+    # By connection, who waits for its end; set before the kill begins, so that a second one
+    # joins it.
+    _killing: dict[str, list[Callable[[], None]]] = field(factory=dict, init=False)
+    # Requests under way: they count against the limit, or many at once would pass it.
+    _opening: int = field(default=0, init=False)
 
     async def open(
         self, wanted: FeedKey, options: Mapping[str, Any], on_absent: OnAbsent
@@ -114,8 +105,8 @@ class ClientStreams:
             BridgeTimeoutError: it could not be had within the seconds that the options name.
             UoarmError: as `RobotManager.request`.
         """
-        if len(self._streams) + self._opening >= self._limits.streams:
-            raise LimitError(f"{self._limits.streams} connections are open; kill one first")
+        if len(self._streams) + self._opening >= self._client.limits.streams:
+            raise LimitError(f"{self._client.limits.streams} connections are open; kill one first")
         # Counted before the wait, and given back however it ends, also when the client has gone.
         self._opening += 1
         try:
@@ -202,7 +193,7 @@ class ClientStreams:
         identity = stream.connection.id
         pending = self._killing.get(identity)
         if pending is not None:
-            if len(pending) >= self._limits.calls:
+            if len(pending) >= self._client.limits.calls:
                 raise LimitError(f"{len(pending)} kills of {identity} wait already")
             pending.append(done)
             return
@@ -294,7 +285,7 @@ class ClientStreams:
         """Return the queue that a client asks for; one that names its length wants all of it."""
         if options is None:
             return None
-        limits = self._limits
+        limits = self._client.limits
         queue = QueuePolicy(
             min(options.get("length", limits.queue_messages), limits.queue_messages),
             options.get("policy", OverflowPolicy.DROP_OLDEST),
@@ -319,7 +310,7 @@ class ClientStreams:
             # Through the stream's own queue: the end comes after its last message.
             lane = stream.subscription.lane
             self._client.outbox.finish(lane, frame)
-            keep_newest(self._ends, identity, _End(lane, frame), self._limits.streams)
+            keep_newest(self._ends, identity, _End(lane, frame), self._client.limits.streams)
 
     def _remove(self, identity: str, cause: str = "") -> Stream | None:
         stream = self._streams.pop(identity, None)

@@ -244,6 +244,7 @@ class _Place:
     first: int
 
 
+@define(eq=False)
 class Feed:
     """The messages of one open connection, fanned out in the loop's thread.
 
@@ -270,40 +271,35 @@ class Feed:
         end: state and cause, once no more will come.
     """
 
-    def __init__(
-        self,
-        mailbox: LoopMailbox,
-        limits: Limits,
-        encoder: Encoder,
-        clock: Clock = time.monotonic,
-    ) -> None:
-        self._records = LimitedLog(_log)
-        self.encoder = encoder
-        self._mailbox = mailbox
-        self._limits = limits
-        self._clock = clock
-        # The thread in which messages come appends and, to make room, takes from the left; the loop
-        # takes from the left and, for a client that joins, puts back there. A deque allows both
-        # without a lock: a side that finds it empty was overtaken by the other, which is no error
-        # (`_next`, `_lose_oldest`).
-        self._waiting: deque[Envelope] = deque()
-        self.number = 0
-        # Set with a request for a turn of the loop, cleared at the start of that turn, before
-        # anything is taken: a message that comes after that asks again, so that none stays until
-        # the next one.
-        self._pending = False
-        self.is_writing = False
-        self._is_done = False
-        self._listeners: dict[Listener, _Place] = {}
-        # Changed by the thread in which messages come; `add` copies it in the loop, in one step.
-        self._known: list[tuple[int, Message]] = []  # what may stand, with its number
-        self._most_known = 0
-        self.handed = 0
-        self._listened_since = 0.0
-        self._backlog = FeedBacklog()
-        self.connection: Connection | None = None
-        self.lost = 0
-        self.end: tuple[str, str] | None = None
+    _mailbox: LoopMailbox
+    _limits: Limits
+    encoder: Encoder
+    _clock: Clock = time.monotonic
+    _records: LimitedLog = field(factory=lambda: LimitedLog(_log), init=False)
+    # The thread in which messages come appends and, to make room, takes from the left; the loop
+    # takes from the left and, for a client that joins, puts back there. A deque allows both
+    # without a lock: a side that finds it empty was overtaken by the other, which is no error
+    # (`_next`, `_lose_oldest`).
+    _waiting: deque[Envelope] = field(factory=deque, init=False)
+    number: int = field(default=0, init=False)
+    # Set with a request for a turn of the loop, cleared at the start of that turn, before
+    # anything is taken: a message that comes after that asks again, so that none stays until
+    # the next one.
+    _pending: bool = field(default=False, init=False)
+    is_writing: bool = field(default=False, init=False)
+    _is_done: bool = field(default=False, init=False)
+    _listeners: dict[Listener, _Place] = field(factory=dict, init=False)
+    # Changed by the thread in which messages come; `add` copies it in the loop, in one step.
+    _known: list[tuple[int, Message]] = field(
+        factory=list, init=False
+    )  # what may stand, with its number
+    _most_known: int = field(default=0, init=False)
+    handed: int = field(default=0, init=False)
+    _listened_since: float = field(default=0.0, init=False)
+    _backlog: FeedBacklog = field(factory=FeedBacklog, init=False)
+    connection: Connection | None = field(default=None, init=False)
+    lost: int = field(default=0, init=False)
+    end: tuple[str, str] | None = field(default=None, init=False)
 
     @property
     def before_newcomer(self) -> int:
