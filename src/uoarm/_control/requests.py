@@ -20,13 +20,13 @@ from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.driver import Driver
 from uoarm._control.live.listeners import EventDispatcher
 from uoarm._control.live.revisions import Revision, Revisions
-from uoarm._dataplane import Clock, FailureWatch, make_check
+from uoarm._dataplane import Clock, FailureWatch
 from uoarm._hints.applications import MessageType, as_message
 from uoarm._raised import is_raised
 from uoarm._spans import span
 from uoarm._support import deadlines
 from uoarm._support.ordered import keep_newest
-from uoarm.bridge import Bridge, ServiceStructures
+from uoarm.bridge import Bridge, ServiceStructures, message_check
 from uoarm.errors import (
     BridgeError,
     CommandRefusedError,
@@ -213,7 +213,7 @@ class Services:
         if wanted is not None:
             wanted.require(step.structures["reply"].schema)
         message = as_message(message, place)
-        _check(message, step.structures["request"], place)
+        message_check(step.structures["request"], place)(message)
         bridge = self._bridges.running(component.bridge)
         if bridge is None:  # it was lost since; starting it may take as long as it likes
             start = partial(self._bridges.get, component.bridge)
@@ -307,13 +307,7 @@ def _answer(
     structures = ServiceStructures(step.structures["request"], step.structures["reply"])
     reply = bridge.call(endpoint, message, structures, timeout=timeout, number=number)
     try:
-        _check(reply, structures.reply, f"the reply of the service {step.component.name}")
+        message_check(structures.reply, f"the reply of the service {step.component.name}")(reply)
     except MessageError as error:
         raise BridgeError(str(error), FailureReason.BAD_MESSAGE) from error
     return reply
-
-
-def _check(message: Message, structure: MessageStructure, place: str) -> None:
-    check = make_check(structure, ValidationMode.ALWAYS, place)
-    if check is not None:
-        check(message)

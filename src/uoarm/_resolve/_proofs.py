@@ -12,7 +12,6 @@ from typing import Any, Generic, TypeAlias, TypeVar
 from attrs import field, frozen
 
 from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, number_problem, parse
-from uoarm._dataplane import make_check
 from uoarm._resolve._catalogue import (
     EdgeCheck,
     Judgement,
@@ -20,6 +19,7 @@ from uoarm._resolve._catalogue import (
     Structures,
     Unavailable,
 )
+from uoarm.bridge import message_check
 from uoarm.errors import MessageError
 from uoarm.model import (
     CommandPolicy,
@@ -32,7 +32,6 @@ from uoarm.model import (
     Options,
     Output,
     Reason,
-    ValidationMode,
 )
 
 T = TypeVar("T")
@@ -340,8 +339,7 @@ def lifetime_warnings(edge: Edge, output: Output, port: Input) -> tuple[str, ...
 
 def _mistakes(place: str, command: CommandPolicy, structure: MessageStructure) -> Iterator[Reason]:
     if command.stop is not None:
-        check = make_check(structure, ValidationMode.ALWAYS, f"the stop message of its {place}")
-        assert check is not None, "it is not off"
+        check = message_check(structure, f"the stop message of its {place}")
         try:
             check(command.stop.message)
         except MessageError as error:

@@ -14,9 +14,9 @@ from typing import Any, Protocol
 from attrs import define, frozen
 
 from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, parse
-from uoarm._dataplane import make_check
 from uoarm._origin import install_command
 from uoarm._raised import text_of
+from uoarm.bridge import message_check
 from uoarm.errors import BridgeError, FailureReason, MessageError, PluginError, UoarmError
 from uoarm.model import (
     Component,
@@ -25,7 +25,6 @@ from uoarm.model import (
     MessageStructure,
     Reason,
     Robot,
-    ValidationMode,
 )
 from uoarm.record._file import require_mcap
 from uoarm.record._forms import EVENTS_TOPIC, reading_of
@@ -386,7 +385,7 @@ def _consumers(
         except UoarmError as error:
             yield _Consumer(place, unchecked=str(error))
             continue
-        yield _Consumer(place, check=make_check(structure, ValidationMode.ALWAYS, place))
+        yield _Consumer(place, check=message_check(structure, place))
         return
 
 
@@ -404,8 +403,7 @@ def _of_input(
     else:
         verdict = check_edge(recorded, taken, item.mapping, item.allow_loss, item.meaning)
         reasons = () if verdict.compatible else verdict.reasons
-    check = make_check(taken, ValidationMode.ALWAYS, place)
-    assert check is not None, "all are checked"
+    check = message_check(taken, place)
     if item.mapping is None:
         return _Consumer(place, reasons, check=check)
     try:

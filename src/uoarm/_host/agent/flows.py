@@ -10,16 +10,15 @@ from contextlib import contextmanager
 
 from attrs import astuple, define, field
 
-from uoarm._dataplane import make_check
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack
 from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
 from uoarm._host.transport.transport import Transport
 from uoarm._raised import LimitedLog, contained, foreign, is_raised, on_failure, text_of
-from uoarm.bridge import Channel, Sink, Source
+from uoarm.bridge import Channel, Sink, Source, message_check
 from uoarm.errors import BridgeError, UoarmError
-from uoarm.model import Endpoint, Message, MessageStructure, ValidationMode, to_json
+from uoarm.model import Endpoint, Message, MessageStructure, to_json
 
 _PATIENCE_SECONDS = 1.0
 _log = logging.getLogger("uoarm")
@@ -181,9 +180,8 @@ class OpenFlows:
                 sink.send(message, age=incoming.latency if moves else 0.0)
             except BaseException as error:
                 # What is wrong itself is the failure of what gave it: most messages are unchecked.
-                check = make_check(structure, ValidationMode.ALWAYS, name)
-                if check is not None and is_raised(contained(error)):
-                    check(message)
+                if is_raised(contained(error)):
+                    message_check(structure, name)(message)
                 records.write(contained(error))
                 raise
 

@@ -13,12 +13,11 @@ from typing import TypeAlias
 from attrs import define
 
 from uoarm._control import Connection
-from uoarm._dataplane import make_check
 from uoarm._raised import LimitedLog, foreign
 from uoarm._wire import Form
-from uoarm.bridge import boot_seconds
+from uoarm.bridge import boot_seconds, message_check
 from uoarm.errors import CommandRefusedError, ConnectionClosedError, MessageError, UsageError
-from uoarm.model import LeaseHolder, Message, MessageStructure, ValidationMode
+from uoarm.model import LeaseHolder, Message, MessageStructure
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Account, Charge, MemoryUse
 from uoarm.server.streams._workers import Workers
@@ -364,9 +363,7 @@ def check_message(structure: MessageStructure, message: Message, read: Read, pla
         value = read(structure, message)
     except MessageError as error:
         raise MessageError(f"{place}: {error}") from error
-    check = make_check(structure, ValidationMode.ALWAYS, place)
-    if check is not None:
-        check(value)
+    message_check(structure, place)(value)
     return value
 
 
