@@ -7,7 +7,7 @@ import functools
 import logging
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any, TypeAlias, TypeVar
 
 from attrs import evolve
@@ -25,7 +25,6 @@ from uoarm.model import (
     ConfigurationChange,
     LeaseHolder,
     Message,
-    MessageStructure,
     Plan,
     StatusEvent,
     StopReport,
@@ -48,7 +47,7 @@ from uoarm.server.streams._input_sender import InputSender, Read, read_message
 from uoarm.server.streams._known import KnownStructures, KnownTypes
 from uoarm.server.streams._memory import Account, ServerMemory
 from uoarm.server.streams._pending_feeds import OnAbsent, PendingFeeds, is_absent
-from uoarm.server.streams._workers import CallEnded, LoopMailbox, Make, SharedViews, Workers, settle
+from uoarm.server.streams._workers import CallEnded, LoopMailbox, SharedViews, Workers, settle
 
 A = TypeVar("A")
 Q = TypeVar("Q", bound=Hashable)
@@ -101,6 +100,8 @@ def shown_event(event: StatusEvent, view: RoleView) -> dict[str, Any] | None:
 class FeedRegistry:
     """Feeds by what was asked for; all in the loop's thread, and what blocks goes to the workers.
 
+    It is the `Backend` of front ends, which has the contract of what they call.
+
     Args:
         robot: the manager; it is not closed here.
         limits: bounds.
@@ -119,10 +120,12 @@ class FeedRegistry:
         self.robot = robot
         self.limits = limits
         self.memory = ServerMemory(limits.total_memory_bytes, limits.memory_bytes)
+        self.open_account = self.memory.open
         self.mailbox = LoopMailbox(asyncio.get_running_loop())
         self.workers = Workers(limits.workers, limits.openings, self.mailbox)
         self.encoder = Encoder()
         self.views = SharedViews(self.mailbox)
+        self.view = self.views.get
         self.role_views = RoleViews(lambda: robot.config)
         self.actions = ActionRunners(self)
         self.approvals = Approvals(Audit(), Supervision(lambda: robot.config))
@@ -144,9 +147,11 @@ class FeedRegistry:
         # Half of the threads, so that what can be had does not wait for what cannot.
         at_once = max(1, limits.openings // 2)
         self._known = KnownStructures(robot.resolve, self.workers, at_once)
+        self.structures = self._known.of
         self._types = KnownTypes(
             robot.structure_of_type, self.in_worker, lambda: robot.config.bridges
         )
+        self.structure_of_type = self._types.of
         self._pending = PendingFeeds(self._join, self._claim, self.leave, at_once)
         self._is_ending = False
         self._stopping: asyncio.Future[StopReport] | None = None
@@ -178,19 +183,7 @@ class FeedRegistry:
         return watcher in self._watchers
 
     async def join(self, wanted: FeedKey, on_absent: OnAbsent | None = None) -> Feed:
-        """Return the open feed, opening it for the first. Give it back with `leave`.
-
-        Its messages wait until a listener is added.
-
-        Args:
-            wanted: the feed.
-            on_absent: with it, what cannot be had yet is waited for until this is cancelled; it is
-                called with the reason why, at once and again when the reason is another one.
-
-        Raises:
-            UoarmError: as `RobotManager.request`; BusyError while earlier connections to the
-                function are being closed still.
-        """
+        """Return the open feed, opening it for the first; see `Backend.join`."""
         if on_absent is None:
             return await self._join(wanted)
         cause = self._pending.cause(wanted)
@@ -268,10 +261,6 @@ class FeedRegistry:
         limit = self.limits.queue_messages
         return InputSender(connection, read, self.workers, account, limit=limit, holder=holder)
 
-    def open_account(self) -> Account:
-        """Return an account for what no single client caused. Close it."""
-        return self.memory.open()
-
     def kill(self, connection: Connection, cause: str) -> asyncio.Future[None]:
         """End a connection in a thread of its own kind; the future has its end, the cause says who.
 
@@ -323,24 +312,8 @@ class FeedRegistry:
         began: Callable[[Callable[[], bool]], object],
         act: Callable[[Message], T],
     ) -> T:
-        """Call a service in a worker, of this very plan where one is given, and of no other.
-
-        Args:
-            wanted: a plan that was found before, or a function.
-            revision: of the configuration; of another one it is not called. None: of any.
-            message: the request as it came.
-            read: makes its logical value, by the service's structure.
-            timeout: seconds, which no limit of the server shortens.
-            began: called in the worker with what cancels the call.
-            act: what the answer is for; may take long.
-
-        Raises:
-            ApprovalError: the configuration is another one.
-            UsageError: the function is a stream.
-            UoarmError: as `RobotManager.call`, and BusyError.
-        """
+        """Call a service in a worker; see `Backend.call_planned`."""
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-
         ended: CallEnded = functools.partial(settle, future)
         self.begin_call(wanted, revision, message, read, timeout, began, act, ended)
         return await future
@@ -413,12 +386,7 @@ class FeedRegistry:
         return await self.workers.start(apply)
 
     async def stop_all(self, key: Hashable, act: Callable[[StopReport], T]) -> tuple[StopReport, T]:
-        """Stop what moves, for all who ask while it lasts; goes on when they are gone.
-
-        Args:
-            key: of `act`, which is done once for all who give the same.
-            act: what the report is for, in a thread that stops: a report grows with the robot.
-        """
+        """Stop what moves, for all who ask while it lasts; see `Backend.stop_all`."""
         if self._stopping is None or self._stopping.done():
             self._stopping = self.workers.stop(
                 functools.partial(self.robot.stop_all, timeout=_STOP_SECONDS)
@@ -449,23 +417,9 @@ class FeedRegistry:
             )
         await asyncio.shield(self._releasing)
 
-    async def structures(
-        self, functions: Iterable[str]
-    ) -> Mapping[str, Mapping[str, MessageStructure]]:
-        """Return structures by function and port; see `KnownStructures.of`."""
-        return await self._known.of(functions)
-
-    async def structure_of_type(self, name: str) -> MessageStructure | None:
-        """Return what messages of a native type are like; see `KnownTypes.of`."""
-        return await self._types.of(name)
-
     async def in_worker(self, action: Callable[[], T]) -> T:
         """Return what an action returns that takes its time and ends by itself."""
         return await self.workers.start(action, always=True)
-
-    def view(self, make: Make[Q, A], question: Q) -> asyncio.Future[A]:
-        """Return the answer to what is asked of the whole robot; see `SharedViews.get`."""
-        return self.views.get(make, question)
 
     def watch(self, watcher: Watcher) -> None:
         """Notify a watcher of every change and the function that it concerns, from now on."""
