@@ -33,7 +33,7 @@ from uoarm.cli._shared import (
 from uoarm.config import is_blank, load, merge
 from uoarm.config import suggest as suggestion_for
 from uoarm.errors import ConfigurationError, UsageError
-from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json, write_json
+from uoarm.model import BridgeFindings, BridgeSpec, Robot
 
 _OWN_HEALTH = "status"  # a plugin whose component is the manager, not one of the robot
 
@@ -61,7 +61,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
     with looking(file) as (robot, _):
         findings = robot.discover(timeout=timeout)
         if as_json:
-            _print_json(findings, in_one_line=watch)
+            print_json(findings, in_one_line=watch)
         else:
             echo(fitted("\n".join(map(str, findings))) or "no bridge plugin is installed")
         while watch:
@@ -70,7 +70,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
             if findings == before:
                 continue
             if as_json:
-                _print_json(findings, in_one_line=True)
+                print_json(findings, in_one_line=True)
             else:
                 for mark, row in changed_rows(before, findings):
                     colour = "red" if mark == "-" else "green"
@@ -190,13 +190,6 @@ def with_every_plugin(robot: Robot, registry: Registry) -> Robot:
         if name not in plugins and name not in robot.bridges and name != _OWN_HEALTH
     }
     return evolve(robot, bridges={**robot.bridges, **more})
-
-
-def _print_json(findings: tuple[BridgeFindings, ...], *, in_one_line: bool) -> None:
-    if in_one_line:
-        echo(write_json(to_json(findings)))
-    else:
-        print_json(findings)
 
 
 def changed_rows(

@@ -26,7 +26,7 @@ from uoarm.cli._shared import (
     takes_configuration,
 )
 from uoarm.errors import UoarmError
-from uoarm.model import format_reason, to_json, write_json
+from uoarm.model import format_reason, to_json
 from uoarm.record import (
     ChannelCheck,
     Recording,
@@ -96,7 +96,10 @@ def record(
             with suppress(KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how it ends
                 _follow(recording, as_json=as_json)
         status = recording.status()
-    echo(write_json(to_json(status)) if as_json else summary(status))
+    if as_json:
+        print_json(status, in_one_line=True)
+    else:
+        echo(summary(status))
     failure, error_code = _failure(status)
     if failure:
         print_failure(failure, error_code, as_json=False)
@@ -122,7 +125,7 @@ def _follow(recording: Recording, *, as_json: bool) -> None:
     while not recording.wait(_PROGRESS_SECONDS):
         status = recording.status()
         if as_json:
-            echo(write_json(to_json(status)))
+            print_json(status, in_one_line=True)
         elif is_terminal:
             click.echo(f"\r{_line(status, time.monotonic() - began)}", nl=False, err=True)
     if is_terminal and not as_json:

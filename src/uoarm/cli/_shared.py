@@ -268,11 +268,11 @@ def text_of_file(file: str | Path, limit: int = _MOST_OCTETS) -> str:
         raise errors.ConfigurationError(f"{file}: {error}", error_code="UOA-101") from error
 
 
-def print_json(value: Any) -> None:
-    """Print a value of the model, or plain data, as indented JSON."""
+def print_json(value: Any, *, in_one_line: bool = False) -> None:
+    """Print a value of the model, or plain data, as JSON, indented or in one line."""
     from uoarm.model import to_json, write_json  # noqa: PLC0415 - when first needed
 
-    echo(write_json(to_json(value), indent=2))
+    echo(write_json(to_json(value), indent=None if in_one_line else 2))
 
 
 def plain(message: Message, most: int | None = None) -> Any:
@@ -332,10 +332,7 @@ def print_failure(
         error_code = error.error_code
     error = without_secrets(str(error))
     if as_json:
-        from uoarm.model import to_json, write_json  # noqa: PLC0415 - when first needed
-
-        report = {**details, "error": error, "error_code": error_code}
-        echo(write_json(to_json(report)))
+        print_json({**details, "error": error, "error_code": error_code}, in_one_line=True)
     print_error(error)
     print_error_code(error_code)
 

@@ -123,35 +123,18 @@ def list_functions(file: str, *, server: Remote | None, as_json: bool) -> None:
     """
     if server is not None:
         functions = asked(server, lambda robot: robot.functions())
-        if as_json:
-            print_json(functions)
-            return
-        for function in functions:
-            echo(_heading(function["name"], function["description"]))
-            for component in function["components"]:
-                echo(_candidate(**component))
-        if not functions:
-            echo(NO_FUNCTIONS, err=True)
-        return
-    with reporting():
-        robot = load(file)
+    else:
+        with reporting():
+            functions = load(file).functions
     if as_json:
-        print_json(robot.functions)
+        print_json(functions)
         return
-    for function in robot.functions.values():
-        echo(_heading(function.name, function.description))
-        for component in function.components:
-            echo(_candidate(component.name, component.bridge, component.priority))
-    if not robot.functions:
+    for function in functions if server is not None else to_json(tuple(functions.values())):
+        echo(styled(function["name"], bold=True) + f"  {function['description']}".rstrip())
+        for component in function["components"]:
+            echo("  {priority:>4}  {name}  ({bridge})".format_map(component))
+    if not functions:
         echo(NO_FUNCTIONS, err=True)
-
-
-def _heading(name: str, description: str) -> str:
-    return styled(name, bold=True) + f"  {description}".rstrip()
-
-
-def _candidate(name: str, bridge: str, priority: int, **_: object) -> str:
-    return f"  {priority:>4}  {name}  ({bridge})"
 
 
 @click.command()

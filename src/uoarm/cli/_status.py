@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ from uoarm.cli._shared import (
     terminal_width,
 )
 from uoarm.errors import PluginError
-from uoarm.model import FunctionStatus, format_status, to_json, write_json
+from uoarm.model import FunctionStatus, format_status
 
 
 def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool) -> None:
@@ -41,7 +42,7 @@ def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool
 
     Exits with 4 when the server cannot be reached, or goes away.
     """
-    show = _print_json if as_json else _print_tables
+    show = partial(print_json, in_one_line=True) if as_json else _print_tables
 
     async def work(robot: Any) -> None:
         if not watch:
@@ -66,13 +67,9 @@ def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool
 async def _follow_events(robot: Any, *, as_json: bool) -> None:
     async for event in robot.watch():
         if as_json:
-            echo(write_json({"event": to_json(event)}))
+            print_json({"event": event}, in_one_line=True)
         else:
             echo(fitted(str(event)))
-
-
-def _print_json(status: Mapping[str, Any]) -> None:
-    echo(write_json(to_json(status)))
 
 
 def _print_tables(status: Mapping[str, Any]) -> None:
