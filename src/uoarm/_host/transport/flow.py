@@ -12,6 +12,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 
 import msgpack
 from attrs import astuple, frozen
@@ -48,20 +49,6 @@ class FlowEnding:
 
     health: str
     cause: str
-
-
-@frozen
-class WriterReleased:
-    """That nothing of a writer stands any more."""
-
-    writer: str
-
-
-@frozen
-class Read:
-    """That a message could not be read, and why; without a reason, that something could."""
-
-    why: str
 
 
 @frozen
@@ -367,25 +354,21 @@ class FlowReceiver:
             self.close()
 
     def _handle(self, frame: Frame, header: bytes) -> None:
-        read = _header(header)
+        read = self._header(header)
         # Damaged, or sent once more by another client that received it.
         if read is None or read[0] <= self._number:
             self.failed += 1
             self.last_error = "a frame without a header of its own, or one that came before"
             return
-        number, skipped, sent_at, more = read
+        number, skipped, sent_at, writer, act = read
         before = self.raised, self.wrong
         # A gap in the numbers was lost on the link; what was skipped never had a number.
         self.lost += number - self._number - 1 + skipped - self.skipped
         self.skipped = skipped
         now = self._transport.clock() + self._transport.ahead()
         self.latency = max(0.0, (now - sent_at) / 1e9)
-        if isinstance(more, FlowEnding):
-            self._ended(more)
-        elif isinstance(more, WriterReleased):
-            self._let_go(more.writer)
-        elif isinstance(more, Read):
-            self._read(more.why)
+        if act is not None:
+            act()
         else:
             self.received += 1
             # For what the component emits in this thread: before that leaves, the message counts as
@@ -393,7 +376,7 @@ class FlowReceiver:
             # answered.
             HANDLING.counter, HANDLING.number = self._counter, self.received
             try:
-                foreign(self._take, unpack(frame), *(more,) if more else ())
+                foreign(self._take, unpack(frame), *(writer,) if writer else ())
             except Exception as error:  # noqa: BLE001 - a consumer may raise anything
                 self._fail(error)
             HANDLING.counter = None
@@ -407,6 +390,29 @@ class FlowReceiver:
         self._confirm(
             at_once=any(count > 0 == old for old, count in zip(before, after, strict=True))
         )
+
+    def _header(self, octets: bytes) -> tuple[int, int, int, str, Callable[[], None] | None] | None:
+        """Return number, skipped and time of a frame, its writer, and what it does if no message.
+
+        None where it is no header of a flow.
+        """
+        if len(octets) < _HEADER.size:
+            return None
+        kind, number, skipped, sent_at = _HEADER.unpack_from(octets)
+        if kind != _IS_HEADER:
+            return None
+        if len(octets) == _HEADER.size:
+            return number, skipped, sent_at, "", None
+        match _plain(octets[_HEADER.size :]):
+            case ["unreadable", str(why)]:
+                return number, skipped, sent_at, "", partial(self._read, why)
+            case [str(health), str(cause)]:
+                return number, skipped, sent_at, "", partial(self._ended, FlowEnding(health, cause))
+            case ["writer", str(writer), True]:
+                return number, skipped, sent_at, writer, None
+            case ["writer", str(writer), False]:
+                return number, skipped, sent_at, "", partial(self._let_go, writer)
+        return None
 
     def _fail(self, error: Exception) -> None:
         """Count a message; the manager has its own record, the traceback is only here."""
@@ -427,30 +433,6 @@ class FlowReceiver:
         # Sums and no differences: where one is lost the next says it all, as does a heartbeat.
         header = msgpack.packb(astuple(self.handled()))
         self._transport.notify(f"{self._key}/handled", header)
-
-
-def _header(octets: bytes) -> tuple[int, int, int, FlowEnding | WriterReleased | Read | str] | None:
-    """Return number, skipped, time of a frame, and what else it says, or its writer.
-
-    None where it is no header of a flow.
-    """
-    if len(octets) < _HEADER.size:
-        return None
-    kind, number, skipped, sent_at = _HEADER.unpack_from(octets)
-    if kind != _IS_HEADER:
-        return None
-    if len(octets) == _HEADER.size:
-        return number, skipped, sent_at, ""
-    match _plain(octets[_HEADER.size :]):
-        case ["unreadable", str(why)]:
-            return number, skipped, sent_at, Read(why)
-        case [str(health), str(cause)]:
-            return number, skipped, sent_at, FlowEnding(health, cause)
-        case ["writer", str(writer), True]:
-            return number, skipped, sent_at, writer
-        case ["writer", str(writer), False]:
-            return number, skipped, sent_at, WriterReleased(writer)
-    return None
 
 
 def _plain(octets: bytes) -> object:
