@@ -26,8 +26,6 @@ class Joining:
     """Which machines join where, as one configuration has it: the one in force, or one to come.
 
     Attributes:
-        bridges: names by machine.
-        listener: where they join.
         is_cut: whether machines that have joined must join anew when it comes into force, since
             the address is the same; until then none can.
     """

@@ -39,8 +39,6 @@ class MachineConnection(HostConnection):
 
     Args:
         registry: knows which hosts are there.
-        machine: its name.
-        spec: the bridge.
         settings: of the host; `silence` and `start` count.
         on_answer: called with what every answer to a heartbeat holds.
         on_doubt: called when it does not answer, or does again, and the cause.

@@ -47,8 +47,6 @@ class HostProcess:
     the process prints and hands it to the logger `uoarm.host.NAME`.
 
     Args:
-        name: name of the bridge.
-        command: program and arguments.
         variables: the environment variables of the process.
         exited: called with how the process ended, in the waiting thread.
         passed: descriptors that the process inherits under their numbers.
@@ -325,7 +323,6 @@ class ProcessConnection(HostConnection):
 
     Args:
         spec: the bridge that runs in it.
-        settings: of the host.
         on_answer: called with what every answer to a heartbeat holds.
         on_doubt: called when it does not answer, or does again, and the cause.
         on_death: called once with why it died; `dead` is set already.

@@ -66,7 +66,6 @@ class RemoteChannel(Channel):
     """A channel in a host through which no message of ours passes: a service, a native link.
 
     Args:
-        endpoint: where it is open.
         number: its number in the host.
         ask: asks the host.
         when_closed: what else ends with it.

@@ -24,7 +24,6 @@ class _Window:
     """What one output has done since a moment, and what reached its component meanwhile.
 
     Attributes:
-        route: one of the output's.
         feeds: those into the component's inputs; of a native link it is not known what passes.
         count: of the messages of that route at the beginning.
         reached: how many had passed each of the feeds then.

@@ -61,7 +61,6 @@ class _Question:
     """What one bridge is asked, again and again.
 
     Attributes:
-        spec: of the bridge.
         answer: the last one: what it sees, why it sees nothing, or None before the first.
         missed: how many were no better than the one that is kept.
         begun: when it was asked last; once it has started, since then.

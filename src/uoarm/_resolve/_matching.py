@@ -29,7 +29,6 @@ class DiscoveredPort:
     """A discovered port that may provide a function.
 
     Attributes:
-        spec: its bridge.
         rank: less is better; the last part of it is its name.
         why: the rules by which it stands there.
     """

@@ -43,7 +43,6 @@ class NoPlanError(ResolutionError):
     """No plan satisfies a request.
 
     Attributes:
-        function: the function asked for.
         rejections: its candidates, each with its reasons and what those rest on.
         is_unavailable: whether a component that was tried was not available: once it is, there may
             be a plan.
@@ -74,9 +73,7 @@ class Resolver:
     """Resolves functions of one robot. Thread safe; deterministic.
 
     Args:
-        robot: the configuration.
         catalogue: knows the structures of components.
-        check_edge: judges edges.
         budget: candidates tried at most in one search.
         clock: a monotonic clock, in seconds.
     """

@@ -62,7 +62,6 @@ class Search:
     """One search for one plan; used once.
 
     Args:
-        functions: all functions by name.
         fit: judges components and edges, memoised.
         excluded: names of components that may not be used.
         budget: candidates tried at most.

@@ -182,9 +182,6 @@ class TlsOptions(DeclaredOptions):
     def context(self, bridge: str) -> ssl.SSLContext:
         """Return the context of a client; the certificate and the name of a server are checked.
 
-        Args:
-            bridge: its name, for errors.
-
         Raises:
             ConfigurationError: a file cannot be used; the text names it.
         """

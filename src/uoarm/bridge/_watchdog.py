@@ -45,10 +45,6 @@ class CommandState:
     stop may be sent while a command is: it then counts as taken only when it is sent once more,
     since the command may arrive behind it.
 
-    Args:
-        policy: of the input.
-        now: the time.
-
     Attributes:
         phase: of its last command.
         held: whether every command is refused.
@@ -258,7 +254,6 @@ class Watchdog:
     """Lets the commands of one input through, and sends the stop when they cease. Thread safe.
 
     Args:
-        policy: of the input.
         send: hands a message to the framework.
         name: of the input, for people.
         parallel: whether `send` may be called while another call of it is under way. Otherwise

@@ -36,8 +36,6 @@ class Announcement:
     is spoken, and the version of the protocol.
 
     Args:
-        identity: of the manager.
-        settings: of its server.
         interfaces: addresses of interfaces to announce on; None: those that the server listens on.
 
     Raises:

@@ -78,7 +78,6 @@ class Unit:
     """A unit file with its drop-ins.
 
     Attributes:
-        path: of the file itself.
         settings: every assignment in order, as section, key and value.
     """
 
@@ -179,7 +178,6 @@ class _Examination:
     """Looks at one unit; each look yields what it finds.
 
     Args:
-        unit: to be looked at.
         look: returns owner and rights of a path, as `os.stat`.
     """
 

@@ -86,7 +86,6 @@ class Framework:
 
     Attributes:
         bridge: that reaches it; empty where its plugin is broken.
-        plugin: of the bridge.
         is_configured: whether the configuration has the bridge.
         is_reachable: whether the bridge answered.
         cause: why it did not.

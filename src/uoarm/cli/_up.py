@@ -99,7 +99,6 @@ class _Follower:
         manager: of the robot; others may change its configuration, too.
         unfed: patterns of inputs that may stay without a feed.
         as_json: whether a line of JSON is printed in place of text.
-        echo: prints a line.
     """
 
     _manager: RobotManager

@@ -60,7 +60,6 @@ class Link:
     """Sends and receives control messages; all methods but `send_at_once` in one loop.
 
     Args:
-        open: makes a WebSocket.
         form: in which messages are.
         take: gets each message of the server but those about resuming.
         again_seconds: how long to try to begin a new session where this one is gone; 0: not at all.

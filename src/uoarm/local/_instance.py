@@ -145,9 +145,7 @@ class Instance:
     """One component: its object, what takes its messages, and its source thread.
 
     Args:
-        target: the Python object.
         parameters: handed to a class when it is built, to a function at each call.
-        coroutines: runs what is asynchronous.
         workers: gives a source its thread.
 
     Raises:

@@ -146,7 +146,6 @@ class Coroutines:
     """The coroutines of one component. Thread safe.
 
     Args:
-        loop: where they run.
         seconds: how long a coroutine may take, where nothing else is said.
     """
 

@@ -44,12 +44,7 @@ class _made_once(Generic[T]):  # noqa: N801 - read as a property is
 
 
 class TargetPort:
-    """What is known of a port and what converts its messages, each made when it is first needed.
-
-    Args:
-        target: whose port it is.
-        endpoint: of the port.
-    """
+    """What is known of a port and what converts its messages, each made when first needed."""
 
     def __init__(self, target: Target, endpoint: Endpoint) -> None:
         self._target = target

@@ -141,7 +141,6 @@ class Arrivals(Generic[T]):
 
     Args:
         policy: how many may wait, and what becomes of more.
-        tracks: the functions.
         on_drop: called with the reason for each message that is lost; must not block.
     """
 

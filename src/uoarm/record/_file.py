@@ -329,7 +329,6 @@ class Ring:
     """The last seconds of a recording, in the form of the file; for one thread.
 
     Args:
-        seconds: that are kept.
         octets: that are kept at most, with what each message costs beside its own.
     """
 

@@ -31,13 +31,9 @@ class ChannelForm:
     """How the messages of one channel are written.
 
     Attributes:
-        topic: of the channel.
-        schema_name: of its schema.
         schema_encoding: `ros2msg` or `jsonschema`.
-        schema_data: the schema itself.
         message_encoding: `cdr` or `json`.
         encode: returns a message's octets; raises MessageError.
-        metadata: of the channel.
     """
 
     topic: str

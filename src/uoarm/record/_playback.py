@@ -168,7 +168,6 @@ class Playback:
         start: of the recording, in nanoseconds since the epoch.
         length: of it, in nanoseconds.
         clock: a monotonic clock, in seconds.
-        file: its name.
     """
 
     def __init__(

@@ -138,7 +138,6 @@ class McapReader:
     """One file, which may be read in several threads at a time.
 
     Args:
-        path: of the file.
         follows: whether another process writes it still: there is no index then.
 
     Attributes:
@@ -533,9 +532,6 @@ class _PartCache:
     """The parts that the channels of a file are at, read once for all of them, and ahead.
 
     Reading a part takes longer than some messages are apart: what is read ahead keeps their times.
-
-    Args:
-        read: reads a part.
     """
 
     def __init__(self, read: Callable[..., _Found]) -> None:

@@ -44,9 +44,6 @@ class ServiceManager:
     What it needs is taken out of the environment, so that no process that is started here speaks
     in this one's name.
 
-    Args:
-        environment: of the process.
-
     Raises:
         UsageError: it states an address or a time that is none.
 

@@ -65,7 +65,6 @@ class Configured:
     """The configuration was replaced by another, which was checked.
 
     Attributes:
-        revision: its number.
         waiter: gets one reply, when every connection has moved that can.
         policy: for failover from now on.
         bridges: the bridge of each component.
@@ -88,7 +87,6 @@ class CandidatesChanged:
 
     Attributes:
         bridges: the bridge of each component, those that are no candidates any more included.
-        summary: what is different.
         number: how many changes of candidates led to these, in one configuration.
         superseded: those before that are gone or are others; none of them is in use.
     """
@@ -121,7 +119,6 @@ class Opened:
     """A batch of parts is open, or one of them could not be opened.
 
     Attributes:
-        done: those that are open.
         error: why the others are not; None: all are.
     """
 
@@ -229,7 +226,6 @@ class OffersWanted:
     """These functions are to be open in frameworks, and no others.
 
     Attributes:
-        names: of the offers.
         replaced: those that are offered otherwise from now on.
     """
 
@@ -242,7 +238,6 @@ class OfferOpened:
     """An offer is open.
 
     Attributes:
-        number: of the opening.
         cause: why it is not; empty: it is.
     """
 

@@ -158,7 +158,6 @@ class Move(NamedTuple):
 
     Attributes:
         reason: what it is for; `RULES` says what follows from that.
-        phase: how far it is.
         since: when it began; after a death, when that was noticed: messages are lost since then.
         cause: as the status and the gap show it.
         next: the plan that is being opened; None before there is one.

@@ -199,7 +199,6 @@ class Placement(NamedTuple):
 
     Attributes:
         user: the name under which it uses parts: the connection's id, for later plans `c1#2`.
-        components: ids by name.
         provider: id of the component that the application asked for.
         edges: ids, those of the first producers first.
         ports: id of the application ports.

@@ -34,7 +34,6 @@ class RequestDispatcher:
 
     Args:
         bridge: the bridge of this host.
-        transport: to the manager.
         end: called when the manager has closed the bridge.
         counters: where flows are counted; None where the manager shares no memory.
         before_moving: called before an input is opened that must be stopped when all else ends.

@@ -28,8 +28,6 @@ class OutboundFlow:
     """The messages of one source on their way to the manager.
 
     Args:
-        endpoint: of the source.
-        outgoing: the flow.
         counter: where how many messages the source has delivered is written down.
 
     Attributes:

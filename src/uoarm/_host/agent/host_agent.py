@@ -45,7 +45,6 @@ class HostAgent:
         bridges: names of the bridges to serve; empty: every one of this machine.
         modules: folder of the components of `python` bridges that name no other.
         silence: seconds without a sign of life after which the link counts as cut.
-        registry: the plugins.
     """
 
     def __init__(
@@ -201,12 +200,7 @@ class HostedBridge:
     """One bridge while one manager uses it; closed when the manager says so, or its token goes.
 
     Args:
-        registry: the plugins.
-        spec: the bridge.
         transport: to the manager, for this bridge alone; closed with it.
-
-    Attributes:
-        name: of the bridge.
 
     Raises:
         UoarmError: the bridge could not be made.

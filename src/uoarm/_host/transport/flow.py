@@ -76,7 +76,6 @@ class FlowSender:
     """The sending end of a flow. `send` is called by one thread at a time, `finish` by any.
 
     Args:
-        transport: carries it.
         key: name of the flow on the link.
         patience: seconds that `send` waits while a whole window is under way; an attribute, too.
     """
@@ -274,7 +273,6 @@ class FlowReceiver:
     """The receiving end of a flow: takes one message after the other.
 
     Args:
-        transport: carries it.
         key: name of the flow on the link.
         name: of the consumer, for records and for a thread of its own.
         take: the consumer, also of the writer's name where the sending end said one; what it

@@ -188,7 +188,6 @@ class Heartbeat:
 
     Args:
         name: of the bridge, for the thread.
-        transport: to the host.
         silence: seconds without an answer after which it is given up.
         on_answer: called with what an answer holds.
         on_doubt: called with True when a third of the silence has passed, False when it is over.

@@ -42,7 +42,6 @@ class Walker:
     """One pattern, made deterministic on the way.
 
     Args:
-        nfa: its automaton.
         work: of the walker that looks with this one; None for one that stands alone.
     """
 

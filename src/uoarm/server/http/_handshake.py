@@ -158,7 +158,6 @@ class AcceptedHandshake:
     """A handshake that was accepted.
 
     Attributes:
-        credentials: of the client.
         front_end: whose protocol the path asks for; None: the native one.
     """
 
@@ -171,10 +170,6 @@ class HandshakeHandler:
     """Answers requests before the handshake; one for each port.
 
     Args:
-        admission: authenticates clients.
-        audit: records refusals.
-        limits: bounds of connections.
-        totals: count refusals.
         connected: addresses of the clients connected now, shared between ports.
         health: makes the answer of `/healthz`.
         metrics: makes the answer of `/metrics`.

@@ -49,7 +49,6 @@ class Metrics:
     """Collects from the living objects; holds no counts of its own.
 
     Args:
-        registry: feeds and workers.
         totals: of clients that have gone.
         clients: those connected now.
         store: sessions that are kept.

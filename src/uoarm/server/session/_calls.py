@@ -40,7 +40,6 @@ class ClientCalls:
     """In the loop's thread.
 
     Args:
-        client: whose they are.
         registry: in whose workers they run.
         form: in which their messages are.
         write: makes of a question and its reply what is sent; in a worker.

@@ -66,7 +66,6 @@ class ConnectedClient(AdmittedClient):
         socket: after its handshake.
         credentials: with which it was admitted.
         grant: its rights, and whose it is.
-        limits: bounds.
         decoder: where its frames are decoded.
         account: of what is held for it.
         audit: records what it was allowed and denied.

@@ -67,10 +67,6 @@ _KINDS = {Op.REQUEST: "", Op.LIST: "questions", Op.STATUS: "questions"}
 class Shared:
     """What the sessions of all clients of the native protocol are answered from.
 
-    Args:
-        registry: of the robot.
-        folder: of what clients record.
-
     Attributes:
         lists: of functions.
         status: the status map.

@@ -44,7 +44,6 @@ class KeptSession:
 
     Attributes:
         client: its transport, with everything that waits for the client.
-        session: what it holds.
         since: when its connection dropped; None while it is connected.
         free: set while no connection serves it.
     """
@@ -213,7 +212,6 @@ class ReplyCache:
     Args:
         most: answers that are kept.
         most_bytes: bytes that they may have together; fewer where the client's account is full.
-        account: the client's.
     """
 
     def __init__(self, most: int, most_bytes: int, account: Account) -> None:

@@ -41,14 +41,12 @@ class AdmittedClient:
 
     Args:
         grant: its rights, and whose it is.
-        limits: bounds.
         account: of what is held for it.
         audit: records what it was allowed and denied.
 
     Attributes:
         identity: name of the session, for logs and the client itself.
         principal: the person or program that it is of.
-        role: its rights.
     """
 
     def __init__(self, grant: Grant, limits: Limits, account: Account, audit: Audit) -> None:
@@ -125,7 +123,6 @@ class StatelessClients:
     """The stateless clients of a server, in the thread of its loop.
 
     Args:
-        admission: authenticates them.
         audit: records who came and who was refused.
         registry: counts what is held for them.
         connected: addresses of clients; each request counts as one while it lasts.

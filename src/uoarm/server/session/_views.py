@@ -49,7 +49,6 @@ class FunctionLists:
 
     Args:
         robot: returns the configuration in force.
-        views: of roles.
     """
 
     def __init__(self, robot: Callable[[], Robot], views: RoleViews) -> None:
@@ -268,7 +267,6 @@ class StatusQuestion:
     """What a client asks.
 
     Attributes:
-        role: its role.
         form: in which it wants the answer.
         since: the version that it has; None: it wants the whole map.
         past: whether it wants the last changes, too.
@@ -302,7 +300,6 @@ class StatusViews:
     Args:
         status: returns the whole status map.
         past: returns the last changes, and how many seconds ago they were.
-        views: of roles.
         clients: returns who is connected.
         clock: seconds.
     """

@@ -31,7 +31,6 @@ class Stream:
 
     Attributes:
         connection: open.
-        feed: its messages.
         subscription: what hands them to the client.
     """
 
@@ -64,8 +63,6 @@ class ClientStreams:
     """Streams and input senders of one client by connection id, in the loop's thread.
 
     Args:
-        registry: where feeds are shared.
-        client: whose they are.
         form: in which its messages are.
         holder: as whom it commands inputs that have a lease.
         on_refused: called with the connection, and why one of its messages could not be written.

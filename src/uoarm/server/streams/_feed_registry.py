@@ -104,14 +104,11 @@ class FeedRegistry:
 
     Args:
         robot: the manager; it is not closed here.
-        limits: bounds.
 
     Attributes:
         memory: what is held for all clients.
-        encoder: writes their long messages.
         views: answers what is asked of the whole robot.
         role_views: what each role sees of it.
-        approvals: of what agents do.
         actions: what works on the goals of functions.
     """
 

@@ -40,7 +40,6 @@ class KnownStructures:
 
     Args:
         resolve: finds the plan of a function; may wait, so it is called in a worker.
-        workers: where it waits.
         at_once: functions that are asked for side by side.
     """
 
@@ -112,7 +111,6 @@ class KnownTypes:
 
     Args:
         find: asks the plugins; may wait, so it is called in a worker.
-        in_worker: calls it there.
         bridges: those of the configuration in force; others know other types.
     """
 

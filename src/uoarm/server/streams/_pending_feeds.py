@@ -39,7 +39,6 @@ class _Search:
         cause: why it cannot be had.
         changed: set when the next attempt may go otherwise than the last.
         waiting: what has the outcome for each who waits, and what reports the cause to them.
-        task: makes the attempts.
     """
 
     cause: str
@@ -65,7 +64,6 @@ class PendingFeeds:
     Args:
         join: joins a feed, or fails.
         claim: claims a feed that is open once more, as if it had been joined.
-        leave: gives it back.
         at_once: attempts that are made side by side, however many feeds are waited for.
     """
 
