@@ -44,7 +44,6 @@ class TextFormatter(logging.Formatter):
     """Time, level, logger and text. Further lines are indented: no text looks like a record."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the lines of a record."""
         indented = printable(_text_of(record)).replace("\n", "\n  ")
         return f"{_time_of(record)} {record.levelname} {record.name}: {indented}"
 
@@ -53,7 +52,6 @@ class JsonFormatter(logging.Formatter):
     """One object of JSON in one line: `time`, `level`, `logger`, `text`."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line of a record."""
         fields = {
             "time": _time_of(record),
             "level": record.levelname,
@@ -79,7 +77,6 @@ class HostFormatter(logging.Formatter):
     """A record as its level, and logger and text as JSON, in one line that a manager can read."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line of a record."""
         text = _text_of(record)
         line = self._line(record, text)
         if len(line.encode(errors="replace")) < HOST_LINE:

@@ -37,7 +37,6 @@ class Origin:
 
 
 def installed(name: str) -> Distribution | None:
-    """Return the installed distribution of a name."""
     from importlib.metadata import (  # noqa: PLC0415 - slow import
         PackageNotFoundError,
         distribution,

@@ -245,7 +245,6 @@ class _Listener:
 
     @property
     def is_open(self) -> bool:
-        """Whether it listens."""
         return self.opened is not None and not self.opened.closed.is_set()
 
     def can_watch(self, names: frozenset[str]) -> bool:

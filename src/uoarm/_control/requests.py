@@ -251,7 +251,6 @@ class Services:
         )
 
     def _answered(self, component: Component) -> None:
-        """Take in that a service replied."""
         if component.name in self._gone:
             self._gone.discard(component.name)
             self._driver.judge(component, Health.OK, "it is there again")
@@ -265,7 +264,6 @@ class Services:
             found[1].took()
 
     def _failed(self, component: Component, error: BaseException) -> None:
-        """Take in that a call failed."""
         if isinstance(error, BridgeError) and error.reason is FailureReason.NOT_FOUND:
             # Nothing of a service is open, so that a bridge may not notice that it went.
             if component.name not in self._gone or not self._is_avoided(component):

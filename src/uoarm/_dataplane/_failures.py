@@ -141,7 +141,6 @@ class FailureWatch:
 
     @property
     def health(self) -> Health:
-        """The verdict."""
         # Of a copy: it is read without the lock too, and the first message of another output adds
         # a rule meanwhile.
         rules = tuple(self._rules.values())

@@ -160,7 +160,6 @@ class Outlet:
 
     @property
     def routes(self) -> tuple[Route, ...]:
-        """The routes attached now."""
         return self._routes
 
     def retain(self, retains: bool, depth: int = 1) -> None:  # noqa: FBT001 - the source's answer

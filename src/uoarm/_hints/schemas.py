@@ -135,7 +135,6 @@ def is_named_tuple(kind: Any) -> bool:
 
 
 def is_enum(kind: Any) -> bool:
-    """Say whether a type is an enumeration."""
     return is_class(kind) and issubclass(kind, enum.Enum)
 
 

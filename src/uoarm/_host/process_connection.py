@@ -89,7 +89,6 @@ class HostProcess:
 
     @property
     def number(self) -> int:
-        """The process's id."""
         return self._process.pid
 
     @property

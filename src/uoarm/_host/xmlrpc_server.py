@@ -63,7 +63,6 @@ class XmlRpcServer:
 
     @property
     def port(self) -> int:
-        """The port that it listens on."""
         port: int = self._server.server_address[1]
         return port
 
@@ -86,7 +85,6 @@ class _Database:
         return sorted({component for component, _ in self._endpoints})
 
     def ports(self, component: str) -> list[str]:
-        """Return the ports of a component."""
         return sorted(port for name, port in self._endpoints if name == component)
 
     def structure(self, component: str, port: str = "default") -> str:
@@ -108,7 +106,6 @@ class _Handler(SimpleXMLRPCRequestHandler):
     timeout = _REQUEST_SECONDS
 
     def do_POST(self) -> None:  # noqa: N802 - the standard library's name
-        """Answer a request."""
         host = self.headers.get("Host", "").rpartition(":")[0]
         length = self.headers.get("Content-Length", "")
         if host not in {_LOOPBACK, "localhost"}:
@@ -144,7 +141,6 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
         super().__init__(address, _Handler, logRequests=False)
 
     def get_request(self) -> tuple[Any, Any]:
-        """Accept a connection."""
         try:
             return super().get_request()
         except OSError:  # such as no descriptors: the socket stays ready, and would be asked again
@@ -160,7 +156,6 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
         super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
-        """Close a connection."""
         self._ends.pop(request, None)
         super().shutdown_request(request)
 

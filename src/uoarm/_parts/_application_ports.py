@@ -228,7 +228,6 @@ class Sender:
 
     @property
     def can_stop(self) -> bool:
-        """Whether the input has a stop message."""
         return self._policy is not None and self._policy.stop is not None
 
     def stop(self, sender: LeaseHolder, timeout: float) -> None:
@@ -381,7 +380,6 @@ class ApplicationPorts:
         }
 
     def routes(self) -> tuple[Route, ...]:
-        """Return the routes at these ports."""
         received = () if self.route is None else (self.route,)
         return (*received, *(sender.route for sender in tuple(self.senders.values())))
 

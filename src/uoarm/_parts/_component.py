@@ -152,7 +152,6 @@ class LiveComponent:
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """The channels open now."""
         return (*self._sources.values(), *self._sinks.values())
 
     def open_output(self, name: str) -> None:

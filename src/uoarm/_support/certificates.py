@@ -43,7 +43,6 @@ _COMMON_NAME = "uoarm serve"
 
 
 def new_key() -> ec.EllipticCurvePrivateKey:
-    """Return a new key."""
     return ec.generate_private_key(ec.SECP256R1())
 
 

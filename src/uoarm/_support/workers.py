@@ -99,7 +99,6 @@ class WorkerPool:
 
     @property
     def closed(self) -> bool:
-        """Whether `close` was called."""
         return self._closed
 
     def submit(

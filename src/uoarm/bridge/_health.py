@@ -396,7 +396,6 @@ class _IntervalEstimate:
         self._gaps = 0
 
     def passed(self, now: float) -> None:
-        """A message passed."""
         if self._since is None:
             self._since = now
         else:

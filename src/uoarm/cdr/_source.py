@@ -68,7 +68,6 @@ class SourceText:
         self.rest = 0
 
     def line(self, text: str, *checks: PlaceCheck) -> None:
-        """Add a line at the present depth."""
         self._lines.append(" " * self.depth + text)
         self._places.append((self.path, (*self.checks, *checks)))
 

@@ -97,7 +97,6 @@ class Unit:
         return (self.values(key, section) or (default,))[-1]
 
     def is_on(self, key: str) -> bool:
-        """Say whether a switch is on."""
         return self.value(key).lower() in {"yes", "true", "on", "1"}
 
 

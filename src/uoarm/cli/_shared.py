@@ -338,7 +338,6 @@ def print_failure(
 
 
 def print_error_code(error_code: str) -> None:
-    """Say on stderr what explains an error."""
     echo(f"uoarm explain {error_code} says more", err=True)
 
 

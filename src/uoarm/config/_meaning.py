@@ -93,7 +93,6 @@ class MeaningChecker:
         self._check_exports()
 
     def structures(self) -> list[tuple[Path, object]]:
-        """Return every declared structure with its path."""
         needed: list[tuple[Path, object]] = [
             (("functions", name, "needs", key), need[key])
             for name, need in self._needs.items()

@@ -281,7 +281,6 @@ class PluginChecker:
         yield from self._loops()
 
     def _loops(self) -> Iterator[Problem]:
-        """Yield feedback loops through topics."""
         for path, names in feedback_loops(list(components(self._document.value)), self._topic):
             along = " -> ".join(names)
             sentence = f"a message would go round without end: {along}"

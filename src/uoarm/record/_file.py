@@ -92,7 +92,6 @@ class _Output:
         self.count = self.whole = 0
 
     def write(self, *parts: bytes | bytearray) -> None:
-        """Write whole records."""
         rest = [memoryview(part) for part in parts if part]
         while rest:
             written = os.writev(self._file, rest[:_MOST_BUFFERS])
@@ -161,7 +160,6 @@ class McapFile:
 
     @property
     def has_channels(self) -> bool:
-        """Whether channels were added."""
         return bool(self._channels)
 
     @property
@@ -170,7 +168,6 @@ class McapFile:
         return bool(self._index)
 
     def add_channel(self, form: ChannelForm) -> None:
-        """Add a channel, and its schema."""
         from mcap.records import Channel, Schema  # noqa: PLC0415 - an extra
 
         number = len(self._channels) + 1
@@ -196,7 +193,6 @@ class McapFile:
             self.flush()
 
     def attach(self, name: str, content: bytes, media_type: str, time: int) -> None:
-        """Add an attachment."""
         from mcap.records import Attachment, AttachmentIndex  # noqa: PLC0415 - an extra
 
         record = _written(Attachment(time, time, name, media_type, content))
@@ -207,7 +203,6 @@ class McapFile:
         self._note(_written(index))
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add metadata."""
         from mcap.records import Metadata, MetadataIndex  # noqa: PLC0415 - an extra
 
         record = _written(Metadata(name, dict(values)))

@@ -228,12 +228,10 @@ class RecordingSchedule:
         return RecordingStep.NOTHING
 
     def file_begins(self, now: Instant) -> None:
-        """A new file begins."""
         self._file_began = now
         self.flushed(now)
 
     def flushed(self, now: Instant) -> None:
-        """What waited was written."""
         self._flushed = now.steady
         self._quiet_until = 0
 

@@ -89,7 +89,6 @@ class Timeline:
         return max(0.0, (place - self.position(now)) / _NANO / self.rate)
 
     def passed(self, place: int) -> None:
-        """A message was handed on."""
         if self.rate is None and not self.is_paused:
             self._anchor = max(self._anchor, place)
 
@@ -100,7 +99,6 @@ class Timeline:
         self.is_paused = True
 
     def play(self, now: float) -> None:
-        """Go on."""
         self._go_to(self.position(now), now)
         self.is_paused = False
 
@@ -240,15 +238,12 @@ class Playback:
                 self._next.pop(reader, None)
 
     def pause(self) -> None:
-        """Stand."""
         self._move(lambda: self._timeline.pause(self._clock()))
 
     def play(self) -> None:
-        """Go on."""
         self._move(lambda: self._timeline.play(self._clock()))
 
     def set_rate(self, rate: float | None) -> None:
-        """Go on at another rate."""
         self._move(lambda: self._timeline.set_rate(rate, self._clock()))
 
     def step(self) -> None:

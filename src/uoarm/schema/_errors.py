@@ -65,7 +65,6 @@ class Meter:
         self._deadline = self._since + seconds
 
     def spend(self, steps: int = 1) -> None:
-        """Count work."""
         self._steps -= steps
         if self._steps < self._look:
             self._check()

@@ -234,7 +234,6 @@ class _Port:
         self._lock = threading.Lock()
 
     def channels(self) -> tuple[Channel, ...]:
-        """Return the channels open now."""
         with self._lock:
             return tuple(self._open)
 
@@ -244,7 +243,6 @@ class _Port:
             self._open[channel] = take
 
     def leave(self, channel: Channel) -> None:
-        """Forget a channel."""
         with self._lock:
             self._open.pop(channel, None)
 

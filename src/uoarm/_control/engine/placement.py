@@ -143,7 +143,6 @@ class ComponentRecord(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The component's name in the configuration."""
         return self.step.component.name
 
 
@@ -170,12 +169,10 @@ class EdgeRecord(NamedTuple):
 
     @property
     def key(self) -> tuple[str, str]:
-        """The input that it feeds."""
         return self.edge.consumer, self.edge.input
 
     @property
     def origin(self) -> tuple[str, str]:
-        """The output that feeds it."""
         return self.edge.producer, self.edge.output
 
     def used_by(self, user: str, mode: ValidationMode | None) -> EdgeRecord:

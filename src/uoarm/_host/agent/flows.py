@@ -48,7 +48,6 @@ class OutboundFlow:
 
     @property
     def sent(self) -> int:
-        """How many messages were sent."""
         return self._outgoing.sent
 
     @property
@@ -195,7 +194,6 @@ class OpenFlows:
             self._open[number] = _Open(sink, inbound=incoming)
 
     def plain(self, number: int, channel: Channel) -> None:
-        """Keep a channel that has no flow."""
         with self._lock:
             self._open[number] = _Open(channel)
 

@@ -230,7 +230,6 @@ class HostedBridge:
 
     @property
     def is_closed(self) -> bool:
-        """Whether it is closed."""
         return not self._thread.is_alive()
 
     def let_go(self) -> None:

@@ -109,7 +109,6 @@ class FlowSender:
 
     @property
     def sent(self) -> int:
-        """How many messages were sent."""
         return self._number
 
     @property

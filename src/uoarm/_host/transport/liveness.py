@@ -218,7 +218,6 @@ class Heartbeat:
         )
 
     def start(self) -> None:
-        """Begin to ask."""
         self._thread.start()
 
     def stop(self) -> None:

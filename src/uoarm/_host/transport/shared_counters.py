@@ -107,7 +107,6 @@ class SharedCounter:
         self._last: int | None = None
 
     def set(self, value: int) -> None:
-        """Write the number."""
         self._counters.numbers[self.slot] = value
 
     def read(self) -> int:

@@ -228,7 +228,6 @@ class Resources:
 
     @property
     def refers(self) -> bool:
-        """Whether there is any reference."""
         return bool(self._references)
 
     @property

@@ -17,7 +17,6 @@ ANY: CharSet = ((0, _LAST),)
 
 
 def union(first: CharSet, second: CharSet) -> CharSet:
-    """Return the characters of either set."""
     merged: list[tuple[int, int]] = []
     for low, high in sorted((*first, *second)):
         if merged and low <= merged[-1][1] + 1:
@@ -28,7 +27,6 @@ def union(first: CharSet, second: CharSet) -> CharSet:
 
 
 def complement(chars: CharSet) -> CharSet:
-    """Return every other character."""
     gaps: list[tuple[int, int]] = []
     start = 0
     for low, high in union(chars, ()):
@@ -141,7 +139,6 @@ class Nfa:
         self.disputed = False
 
     def state(self) -> int:
-        """Add a state and return it."""
         if len(self.always) >= _MAX_STATES:
             raise UnsupportedPatternError("the pattern is too large")
         self.always.append([])

@@ -67,7 +67,6 @@ class TextCache(Generic[T]):
         return made
 
     def cache_clear(self) -> None:
-        """Forget everything."""
         with self._lock:
             self._kept.clear()
 

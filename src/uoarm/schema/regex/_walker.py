@@ -67,7 +67,6 @@ class Walker:
         self.start = self.begin(_START)
 
     def step(self, state: WalkState, code: int) -> WalkState:
-        """Return the state after one more character."""
         known = self._steps.get((state, code))
         if known is None:
             follows = self._context(code)
@@ -87,7 +86,6 @@ class Walker:
         return known
 
     def accepts(self, state: WalkState) -> bool:
-        """Say whether the text may end here."""
         known = self._accepting.get(state)
         if known is None:
             known = self._accepting[state] = any(
@@ -181,7 +179,6 @@ class CodeUnits(NamedTuple):
     most: int
 
     def __str__(self) -> str:
-        """Say what is counted."""
         return "octets of UTF-8" if self.widest == _UTF_8 else "code units of UTF-16"
 
     @property
@@ -217,12 +214,10 @@ class UnitWalker:
         self.start: WalkState = (0, frozenset())
 
     def step(self, state: WalkState, code: int) -> WalkState:
-        """Return the state after one more character."""
         width = next(width for width, end in enumerate(self._ends, 1) if code <= end)
         return min(state[0] + width, self._most + 1), state[1]
 
     def accepts(self, state: WalkState) -> bool:
-        """Say whether the text may end here."""
         return state[0] <= self._most
 
 

@@ -100,7 +100,6 @@ class Layout:
         return tuple(after)
 
     def enough(self, counts: tuple[int, ...]) -> bool:
-        """Say whether no counted schema lacks items."""
         return all(n >= least for (_, least, _), n in zip(self.counts, counts, strict=True))
 
 
@@ -235,7 +234,6 @@ class Matching:
         return False
 
     def values(self) -> list[Any]:
-        """Return the value of each place."""
         chosen = {place: self._values[key] for key, place in self._holder.items()}
         return [chosen[place] for place in range(len(self._candidates))]
 

@@ -222,7 +222,6 @@ def below(bound: Fraction, *, strict: bool) -> Numbers:
 
 
 def points(values: Iterable[Fraction]) -> Numbers:
-    """Return the set of some single numbers."""
     plain = sorted({_plain(value) for value in values})
     return Numbers(False, tuple((item, side) for item in plain for side in (0, 1)))
 

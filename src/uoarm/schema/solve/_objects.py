@@ -77,7 +77,6 @@ class ObjectView:
         return tuple(found)
 
     def allows(self, name: str) -> bool:
-        """Say whether the name itself is allowed."""
         return name not in self.lacks and all(
             accepts(node, name) == sign for node, sign in self.names
         )

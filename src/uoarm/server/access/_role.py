@@ -381,7 +381,6 @@ class AuditFile(WatchedFileHandler):
         _log.addHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Append a line."""
         self._has_failed = False
         try:
             super().emit(record)

@@ -117,7 +117,6 @@ class _Figures:
     metrics: Iterable[Metric]
 
     def collect(self) -> Iterable[Metric]:
-        """Return the figures."""
         return self.metrics
 
 
@@ -150,7 +149,6 @@ def thread_metrics() -> Metric:
 
 
 def status_metrics(status: StatusMap) -> Iterator[Metric]:
-    """Yield the figures of a status map."""
     for figure in status_figures(status):
         family = CounterMetricFamily if figure.is_counter else GaugeMetricFamily
         metric = family(f"uoarm_{figure.name}", figure.text, labels=figure.labels)

@@ -25,7 +25,6 @@ class _Call:
         self._is_cancelled = False
 
     def began(self, cancel: Callable[[], bool]) -> None:
-        """Take in what cancels it."""
         self._cancel = cancel
         if self._is_cancelled:
             cancel()

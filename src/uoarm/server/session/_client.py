@@ -107,7 +107,6 @@ class ConnectedClient(AdmittedClient):
 
     @property
     def address(self) -> str:
-        """Where the client is, `host:port`."""
         return address_of(self._socket)
 
     @property

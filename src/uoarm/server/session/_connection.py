@@ -102,7 +102,6 @@ class Sockets:
         return next(unfinished, newest)
 
     def discard(self, connection: TurnConnection) -> None:
-        """Forget a connection that has ended."""
         host = self._all.pop(connection, None)
         if host is not None:
             self._of_host[host] -= 1
@@ -497,12 +496,10 @@ def _deflated(content: bytes, first: int, bits: int) -> tuple[bytes, int]:
 
 
 def host_of(connection: ServerConnection) -> str:
-    """Return the host alone."""
     name = connection.remote_address
     return str(name[0]) if isinstance(name, tuple) else _UNKNOWN
 
 
 def address_of(connection: ServerConnection) -> str:
-    """Return `host:port`."""
     name = connection.remote_address
     return ":".join(str(part) for part in name[:2]) if isinstance(name, tuple) else _UNKNOWN

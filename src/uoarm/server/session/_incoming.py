@@ -292,7 +292,6 @@ class IncomingFrames:
 
     @property
     def is_ready(self) -> bool:
-        """Whether a whole message can be taken."""
         return bool(self._ready)
 
     @property

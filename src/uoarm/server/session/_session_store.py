@@ -174,7 +174,6 @@ class SessionStore:
         self._make_room()
 
     def close(self) -> None:
-        """End all that wait."""
         for kept in list(self._kept.values()):
             if kept.since is not None:
                 self._finish(kept)
@@ -246,5 +245,4 @@ class ReplyCache:
         return identity in self._under_way
 
     def get(self, identity: str) -> bytes | None:
-        """Return an answer that is kept."""
         return self._frames.get(identity)

@@ -193,7 +193,6 @@ class StatelessClients:
                 client.end()
 
     def close(self) -> None:
-        """End all of them."""
         for _, client in self._clients.values():
             client.end()
         self._clients.clear()

@@ -312,7 +312,6 @@ class StatusViews:
     _boards: OrderedDict[AccessRole, _RoleStatus] = field(factory=OrderedDict, init=False)
 
     def make(self, questions: Collection[StatusQuestion]) -> dict[StatusQuestion, StatusAnswer]:
-        """Return the answers."""
         # What changes after this is sent to who watches; the map may have it already.
         past = self._past()
         number = past[-1][1].number if past else 0

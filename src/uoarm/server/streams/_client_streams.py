@@ -211,7 +211,6 @@ class ClientStreams:
             sending.after(end)
 
     def close(self) -> None:
-        """Give everything back."""
         # A copy: removing one takes it out.
         for identity in list(self._streams):
             self._remove(identity, f"{self._holder} has gone, who used it last")

@@ -63,7 +63,6 @@ class FeedBacklog:
         return self._stands
 
     def worked_off(self) -> None:
-        """Note that nothing waits."""
         self._late_since = math.inf
         self._stands = False
 

@@ -77,7 +77,6 @@ class KnownStructures:
         self._generation += 1
 
     def close(self) -> None:
-        """Find out nothing more."""
         for entry in self._entries.values():
             if entry.asking is not None:
                 entry.asking.cancel()
@@ -138,7 +137,6 @@ class KnownTypes:
         return await asyncio.shield(entry)
 
     def close(self) -> None:
-        """Find out nothing more."""
         for entry in self._entries.values():
             entry.cancel()
 

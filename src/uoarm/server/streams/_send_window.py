@@ -87,7 +87,6 @@ class SendWindow:
         return is_time or self.is_stuck(now)
 
     def asked(self, now: float) -> None:
-        """Note a ping that was sent."""
         self.is_free = False
         self.rests_until = now + _LOOK_SECONDS
         self._asked = (now, self.sent)

@@ -48,7 +48,6 @@ class ThreadTurns:
 
     @property
     def may_begin(self) -> bool:
-        """Whether one more may begin now."""
         young = len(self._young)
         return young < _AT_ONCE and young + len(self._waiting) < self._limit
 
@@ -57,7 +56,6 @@ class ThreadTurns:
         self._young[job] = now
 
     def end(self, job: object) -> None:
-        """Note that one is over."""
         self._young.pop(job, None)
         self._waiting.discard(job)
 
