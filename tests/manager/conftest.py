@@ -10,6 +10,7 @@ from tests.manager import stage
 
 from uoarm import RobotManager
 from uoarm.config import loads
+from uoarm.testing import MemoryBridge
 
 HERE = Path(__file__).parent
 
@@ -19,6 +20,11 @@ def _fresh_stage() -> Iterator[None]:
     stage.reset()
     yield
     stage.release()
+
+
+@pytest.fixture
+def memory() -> MemoryBridge:
+    return MemoryBridge()
 
 
 @pytest.fixture

@@ -39,11 +39,6 @@ functions:
 SAFETY = LeaseHolder("fence", "safety")
 
 
-@pytest.fixture
-def memory() -> MemoryBridge:
-    return MemoryBridge()
-
-
 def open_robot(memory: MemoryBridge, text: str = ROBOT) -> RobotManager:
     return RobotManager(loads(text), registry=Registry(()), bridges={"memory": memory})
 

@@ -70,11 +70,6 @@ def motors() -> Motors:
     return Motors()
 
 
-@pytest.fixture
-def memory() -> MemoryBridge:
-    return MemoryBridge()
-
-
 Start = Callable[..., RobotManager]
 
 

@@ -17,7 +17,7 @@ from websockets.asyncio.server import ServerConnection
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import Server
-from uoarm.testing import Proxy
+from uoarm.testing import MemoryBridge, Proxy
 
 Serve = Callable[..., Server]
 Connect = Callable[..., Talk]
@@ -33,6 +33,11 @@ def robot() -> Iterator[RobotManager]:
     yield manager
     script.release()
     manager.close()
+
+
+@pytest.fixture
+def memory() -> MemoryBridge:
+    return MemoryBridge()
 
 
 @pytest.fixture

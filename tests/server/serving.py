@@ -25,3 +25,7 @@ def servers(robot: RobotManager, **always: Any) -> Iterator[Callable[..., Server
             return stack.enter_context(serve_in_thread(robot, chosen, front_ends=front_ends))
 
         yield start
+
+
+def url(server: Server, path: str = "/") -> str:
+    return f"ws://127.0.0.1:{server.ports[0]}{path}"

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Serve
+from tests.server.serving import url
 from tests.server.talk import SECONDS, Talk, eventually
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.typing import Origin, Subprotocol
@@ -61,10 +62,6 @@ def access(tmp_path: Path) -> Path:
 @pytest.fixture
 def guarded(serve: Serve, access: Path) -> Server:
     return serve(access=access)
-
-
-def url(server: Server, path: str = "/") -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}{path}"
 
 
 def enter(server: Server, name: str) -> Talk:

@@ -13,6 +13,7 @@ import pytest
 from tests.server.conftest import Serve
 from tests.server.hostile import HOSTILE, Hostile, attack_beside, resident
 from tests.server.robot import END, script
+from tests.server.serving import url
 from tests.server.talk import Talk, eventually, frame, open_socket
 from websockets.frames import Opcode
 
@@ -23,10 +24,6 @@ MEMORY = 50_000_000
 CPU_SECONDS = 0.2
 """Of the loop, in one step: a tenth of what these took."""
 LONG = 1_000_000
-
-
-def url(server: Server) -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}/"
 
 
 def one(hostile: Hostile) -> Callable[[Server], None]:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from tests.server.conftest import Connect, Hurry, Serve
 from tests.server.hostile import resident
 from tests.server.robot import script
+from tests.server.serving import url
 from tests.server.talk import BESIDE, Talk, eventually, frame, open_socket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Frame, Opcode
@@ -22,10 +23,6 @@ from uoarm import RobotManager
 from uoarm._wire import ASKED
 from uoarm.server import Limits, Server, _server
 from uoarm.testing import patience, slowness
-
-
-def url(server: Server, path: str = "/") -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}{path}"
 
 
 def test_a_client_that_never_reads_costs_bounded_memory_and_starves_no_other(serve: Serve) -> None:

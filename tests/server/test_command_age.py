@@ -69,11 +69,6 @@ def test_who_does_not_say_when_sends_nothing_old(sent: object) -> None:
 
 
 @pytest.fixture
-def memory() -> MemoryBridge:
-    return MemoryBridge()
-
-
-@pytest.fixture
 def base(memory: MemoryBridge) -> Taker:
     return memory.taker("base", {"type": "number"})
 

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 from tests.server.conftest import Serve
 from tests.server.robot import CONFIGURATION
+from tests.server.serving import url
 from tests.server.talk import Talk
 
 from uoarm.cli import main
@@ -54,10 +55,6 @@ def guarded(serve: Serve, tmp_path: Path) -> Server:
     hashes = {name: hash_token(token) for name, token in TOKENS.items()}
     access.write_text(ACCESS.format(**hashes), encoding="utf-8")
     return serve(access=access)
-
-
-def url(server: Server) -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}/"
 
 
 def enter(server: Server, name: str) -> Talk:

@@ -227,10 +227,6 @@ class TestEmergencyStop:
     """Of a base that takes its stop message, or does not."""
 
     @pytest.fixture
-    def memory(self) -> MemoryBridge:
-        return MemoryBridge()
-
-    @pytest.fixture
     def robot(self, memory: MemoryBridge) -> Iterator[RobotManager]:
         memory.taker("base", {"type": "number"})
         given = {"memory": memory}

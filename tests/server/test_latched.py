@@ -33,11 +33,6 @@ FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
 
 
 @pytest.fixture
-def memory() -> MemoryBridge:
-    return MemoryBridge()
-
-
-@pytest.fixture
 def latched(memory: MemoryBridge) -> Emitter:
     return memory.emitter("map", {}, latched=True)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from tests.processes import run_program
 from tests.server.conftest import Between, Serve
+from tests.server.serving import url
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
@@ -52,11 +53,6 @@ tokens:
 
 
 @pytest.fixture
-def memory() -> MemoryBridge:
-    return MemoryBridge()
-
-
-@pytest.fixture
 def base(memory: MemoryBridge) -> Taker:
     return memory.taker("base", {"type": "number"})
 
@@ -73,10 +69,6 @@ def guarded(serve: Serve, tmp_path: Path) -> Server:
     access = tmp_path / "access.yaml"
     access.write_text(ACCESS.format(**{name: hash_token(token) for name, token in TOKENS.items()}))
     return serve(access=access)
-
-
-def url(server: Server) -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}/"
 
 
 def enter(server: Server, name: str) -> Talk:

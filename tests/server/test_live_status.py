@@ -17,6 +17,7 @@ from click.testing import CliRunner
 from tests.host import joined as machines
 from tests.redirects import redirecting
 from tests.server.robot import END, script
+from tests.server.serving import url
 from websockets.datastructures import Headers
 from websockets.exceptions import InvalidStatus, InvalidURI
 from websockets.http11 import Response
@@ -28,10 +29,6 @@ from uoarm.server import Server, ServerOptions, serve_in_thread
 from uoarm.server.access import AccessRole, Operation, RoleViews
 from uoarm.server.session._views import visible_status
 from uoarm.testing import free_port, patience
-
-
-def url_of(server: Server) -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}/"
 
 
 @contextmanager
@@ -47,17 +44,17 @@ def watching(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 def test_the_status_of_a_running_robot_is_shown(server: Server, robot: RobotManager) -> None:
     with robot.request("numbers"):
-        shown = CliRunner().invoke(main, ["status", "--url", url_of(server)])
+        shown = CliRunner().invoke(main, ["status", "--url", url(server)])
         assert shown.exit_code == 0, shown.output
         assert "connections: 1" in shown.output
         assert "numbers" in shown.output
-        report = CliRunner().invoke(main, ["status", "--url", url_of(server), "--json"])
+        report = CliRunner().invoke(main, ["status", "--url", url(server), "--json"])
         assert json.loads(report.stdout)["connections"][0]["state"] == "running"
         script.put(END)
 
 
 def test_events_are_followed_until_an_interrupt(server: Server, robot: RobotManager) -> None:
-    with watching("--url", url_of(server), "--watch", "--json", "--every", "60") as process:
+    with watching("--url", url(server), "--watch", "--json", "--every", "60") as process:
         assert process.stdout is not None
         assert json.loads(process.stdout.readline())["connections"] == []
         with robot.request("numbers"):
@@ -80,7 +77,7 @@ def test_what_cannot_be_printed_is_not_said_of_the_server(
     os.close(reading)
     with os.fdopen(writing, "wb") as pipe, Path("/dev/full").open("wb") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "uoarm", "status", "--url", url_of(server)],
+            [sys.executable, "-m", "uoarm", "status", "--url", url(server)],
             stdout=full if room else pipe,
             stderr=subprocess.PIPE,
             text=True,
@@ -98,16 +95,16 @@ def test_a_server_that_is_not_there_is_named() -> None:
 
 
 def test_a_server_without_tls_and_a_token_that_is_none_are_said(server: Server) -> None:
-    url = url_of(server)
+    address = url(server)
     for code, given, said in (
-        (4, ["--url", url.replace("ws:", "wss:")], "no TLS"),
-        (1, ["--url", url, "--token", "s3cret\nmore"], "token: expected one line"),
+        (4, ["--url", address.replace("ws:", "wss:")], "no TLS"),
+        (1, ["--url", address, "--token", "s3cret\nmore"], "token: expected one line"),
     ):
         shown = CliRunner().invoke(main, ["status", *given])
         assert shown.exit_code == code
         assert said in shown.output
         assert "s3cret" not in shown.output
-    assert CliRunner().invoke(main, ["status", "--url", url, "--token", "x\n"]).exit_code == 0
+    assert CliRunner().invoke(main, ["status", "--url", address, "--token", "x\n"]).exit_code == 0
 
 
 def test_a_redirection_is_said_with_what_to_do() -> None:
@@ -144,7 +141,7 @@ def test_other_machines_are_shown_to_who_may_see_a_function_there(tmp_path: Path
         (shown,) = visible_status(status, views.of(guest)).machines
         assert shown.cause == "waiting for its bridge far"
         with serve_in_thread(robot, ServerOptions(port=0)) as server:
-            live = CliRunner().invoke(main, ["status", "--url", url_of(server)])
+            live = CliRunner().invoke(main, ["status", "--url", url(server)])
     assert "machines: 1" in live.output
     (of_machine,) = re.findall(r"^  arm .*", live.output, re.MULTILINE)
     assert of_machine.split() == ["arm", "no", "waiting", "for", "its", "bridge", "far"]

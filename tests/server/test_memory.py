@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Connect, Serve
 from tests.server.robot import script
+from tests.server.serving import url
 from tests.server.talk import Talk, eventually
 
 from uoarm import RobotManager
@@ -28,10 +29,6 @@ from uoarm.server.streams._workers import LoopMailbox, Workers
 from uoarm.testing import patience
 
 MANY = 10**9
-
-
-def url(server: Server) -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}/"
 
 
 steps = st.lists(

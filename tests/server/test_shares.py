@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Between, Serve
 from tests.server.robot import script
+from tests.server.serving import url
 from tests.server.talk import Talk, eventually
 from tests.server.test_serving import figures
 from websockets.exceptions import InvalidStatus
@@ -41,10 +42,6 @@ def test_no_one_below_an_equal_share_is_refused_and_twice_is_the_most(
             assert shares.total >= most
             assert shares.of(owner) + 1 > most // len(owners)
         assert 0 <= shares.total <= 2 * most
-
-
-def url(server: Server, path: str = "/") -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}{path}"
 
 
 def test_calls_that_hang_leave_threads_to_who_comes_later(serve: Serve) -> None:

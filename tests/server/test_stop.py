@@ -14,6 +14,7 @@ import click
 import pytest
 from click.testing import CliRunner
 from tests.server.conftest import Between, Serve
+from tests.server.serving import url
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
@@ -102,10 +103,6 @@ def guarded(serve: Serve, tmp_path: Path) -> Server:
     hashes = {name: hash_token(token) for name, token in TOKENS.items()}
     access.write_text(ACCESS.format(**hashes), encoding="utf-8")
     return serve(Limits(calls=1, workers=1), access=access)
-
-
-def url(server: Server) -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}/"
 
 
 def enter(server: Server, name: str) -> Talk:
