@@ -173,7 +173,7 @@ class _LeavingComponents:
             return len(hanging)
 
 
-@define(eq=False)
+@define(eq=False, slots=False)
 class LiveParts:
     """The objects of open parts.
 
