@@ -9,8 +9,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Literal
 
-from paho.mqtt.client import Client
-from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import MessageState, MQTTErrorCode
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
@@ -20,6 +20,8 @@ from uoarm_mqtt._options import BrokerCredentials
 
 MOST_IN_FLIGHT = 20
 _UNSPECIFIED = 0x80
+_TAKEN = MQTTMessage()  # stands for a message until the broker lets it go
+_TAKEN.qos = 2
 # `select` takes no descriptor above 1,024, and is what Windows has.
 _Selector = getattr(selectors, "PollSelector", selectors.SelectSelector)
 
@@ -67,6 +69,8 @@ class BrokerClient(ThreadedClient):
     is_answered: bool  # whether the broker answered the attempt that was begun last
     most_octets: int  # of a packet, as the broker was asked
     _broken_by: OSError | None
+    # Of a message of QoS 2: its number, and whether it came before.
+    _received: tuple[int, bool] | None = None
 
     def loop_forever(
         self,
@@ -131,10 +135,32 @@ class BrokerClient(ThreadedClient):
         return f"it ended before the broker answered: does it ask for {hint}? {why}"
 
     def _handle_publish(self) -> MQTTErrorCode:
-        # paho keeps each message of QoS 2 until the broker lets it go, however many there are.
         ended = super()._handle_publish()
-        is_within = len(self._in_messages) <= MOST_IN_FLIGHT
-        return ended if is_within else MQTTErrorCode.MQTT_ERR_PROTOCOL
+        received, self._received = self._received, None
+        if received is not None:
+            # paho keeps each message of QoS 2 until the broker lets it go. Mosquitto 2.0 sends far
+            # more at once than it was asked for, so each is taken as it comes; its number is kept.
+            mid, is_known = received
+            with self._in_message_mutex:
+                message, self._in_messages[mid] = self._in_messages[mid], _TAKEN
+            if not is_known:
+                self._handle_on_message(message)
+        return ended
+
+    def _send_pubrec(self, mid: int) -> MQTTErrorCode:
+        self._received = mid, mid in self._in_messages
+        return super()._send_pubrec(mid)
+
+    def _handle_on_message(self, message: MQTTMessage) -> None:
+        if message is not _TAKEN:
+            super()._handle_on_message(message)
+
+    def _messages_reconnect_reset_out(self) -> None:
+        # paho sends all that is unfinished again at once, and a broker ends the connection for it.
+        super()._messages_reconnect_reset_out()
+        with self._out_message_mutex:
+            for message in tuple(self._out_messages.values())[self._max_inflight_messages :]:
+                message.state = MessageState.MQTT_MS_QUEUED
 
     def _handle_pubrec(self) -> MQTTErrorCode:
         ended = self._refused()  # of QoS 2 it is said here, and paho takes each for a yes
