@@ -14,8 +14,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from tests.server.conftest import Serve
 from tests.server.robot import script
+from tests.server.serving import url
 from tests.server.talk import Talk, eventually
-from tests.server.test_bounds import url
 
 from uoarm.model import message_octets
 from uoarm.server import Limits

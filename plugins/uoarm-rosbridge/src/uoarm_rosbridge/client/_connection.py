@@ -59,7 +59,7 @@ class _Pending:
 
 
 @define(eq=False)
-class TopicSubscription:
+class SubscribedTopic:
     """One topic: the operation that the server knows, what takes its messages, and the last one."""
 
     fields: Fields
@@ -127,7 +127,7 @@ class ServerConnection:
         # what stands when a connection begins is sent with it, all else by who has it stand.
         self._standing_lock = threading.RLock()
         self._standing: dict[str, Fields] = {}
-        self._topics: dict[str, TopicSubscription] = {}
+        self._topics: dict[str, SubscribedTopic] = {}
         self._pending: dict[str, _Pending] = {}
         self._statuses: dict[str, Callable[[str], None]] = {}
         self._numbers = count(1)
@@ -322,7 +322,7 @@ class ServerConnection:
                 with suppress(BridgeError):
                     self.send(fields)
 
-    def subscribe(self, fields: Fields, take: Callable[[Any], None]) -> TopicSubscription:
+    def subscribe(self, fields: Fields, take: Callable[[Any], None]) -> SubscribedTopic:
         """Have the messages of a topic taken; returns what the server knows of it.
 
         The server sends each message once to a client, however often that has subscribed: the
@@ -336,7 +336,7 @@ class ServerConnection:
         with self._standing_lock:
             subscription = self._topics.get(topic)
             if subscription is None:
-                subscription = self._topics[topic] = TopicSubscription(fields, (take,))
+                subscription = self._topics[topic] = SubscribedTopic(fields, (take,))
                 try:
                     self.stand(fields)
                 except BaseException:
