@@ -201,7 +201,6 @@ LARGE: Mapping[str, Callable[[], Any]] = {
     },
     "octets that repeat": lambda: memoryview(cast("Any", np.broadcast_to(np.uint8(0), (2**31,)))),
     "rows that repeat": lambda: np.broadcast_to(np.uint8(0), (2**16, 2**15)),
-    "a hundred arrays that repeat": lambda: [np.broadcast_to(np.uint8(0), (2**27,))] * 100,
 }
 
 

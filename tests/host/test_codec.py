@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.hostile import misbehaviour
 from tests.structures import Quits
 
 from uoarm._host.transport import codec
@@ -233,3 +234,8 @@ def test_no_true_claim_is_refused(message: object, copies: int) -> None:
     looks = b"\xdd\xdf" * 4000
     unpack(pack([message, looks, [[message] * 20] * 20 * copies]))
     unpack(pack({"looks": looks, "values": [float("nan"), 1.5] * 3000, "m": {"a": message}}))
+
+
+def test_what_a_value_does_itself_is_a_refusal() -> None:
+    assert not misbehaviour(lambda value: unpack(pack(value)))
+    assert not misbehaviour(lambda value: unpack(pack({"x": [value]})))

@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from tests.hostile import misbehaviour
 from tests.structures import Quits, closed
 
 from uoarm._wire import LARGEST, TEXT_FORM, read_binary, write_binary
@@ -430,3 +431,15 @@ def test_a_choice_whose_references_go_in_a_circle_has_an_end() -> None:
     reader = make_reader({**around, "$defs": {"a": around, "b": around}})
     assert reader is not None
     assert reader({"a": 1}) == {"a": 1}
+
+
+@pytest.mark.parametrize("write", [write_text, write_binary])
+def test_what_a_value_does_itself_is_a_refusal(write: Any) -> None:
+    assert not misbehaviour(write)
+    assert not misbehaviour(lambda value: write({"x": [value], "y": value}))
+
+
+def test_arrays_that_repeat_are_bounded_together() -> None:
+    mask = np.broadcast_to(np.uint8(0), (2**27,))
+    with pytest.raises(MessageError, match="13,421,772,800 bytes; 268,400,000 are"):
+        write_binary({f"x{number}": mask for number in range(100)})

@@ -30,8 +30,9 @@ import cbor2
 import orjson
 
 from uoarm._raised import contained, sentence_of
+from uoarm._wire._text import buffer_octets
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Budget, BudgetUse, Message
+from uoarm.model import Budget, BudgetUse, Message, elements_of, items_of
 
 Octets: TypeAlias = "bytes | bytearray"
 LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=32)
@@ -143,7 +144,7 @@ def write_binary(message: Message) -> bytes:
             than `WRITTEN`.
     """
     try:
-        if isinstance(message, dict) and _has_large(message, _PARTED):
+        if type(message) is dict and _has_large(message, _PARTED):
             parts: list[Any] = []
             _write_parts(message, parts, _PARTED)
             made = b"".join(parts)
@@ -279,10 +280,43 @@ def _dumps(value: Any) -> bytes:
             if _UUID_HEAD not in made:  # of what that writer takes, all else that no message has
                 return made
         is_plain = all(map(_is_flat, others))
+    if is_plain:
+        BudgetUse(WRITTEN).octets(sum(map(buffer_octets, others)))
+    else:
+        value = _own(value)
     made = cbor2.dumps(value, encoders=_ENCODERS, default=_encode_other)
     if not is_plain:
         read_binary(made, BudgetUse(WRITTEN), with_numpy=True)
     return made
+
+
+def _own(message: Message) -> Message:
+    """Return a message whose lists and mappings are Python's own, within what may be written.
+
+    Of others the library would take elements without an end; and it follows lists within lists
+    until the stack is full, which ends the process.
+    """
+    spending, octets = BudgetUse(WRITTEN), 0
+
+    def own(value: Any, depth: int) -> Any:
+        nonlocal octets
+        octets += buffer_octets(value)
+        spending.octets(octets)
+        if getattr(getattr(value, "dtype", None), "kind", "") == "O":
+            value = value.tolist()
+        if not isinstance(value, Mapping | list | tuple):
+            return value
+        if depth == WRITTEN.depth:
+            raise MessageError(f"it is nested more than {depth} levels deep")
+        if isinstance(value, Mapping):
+            items = items_of(value)
+            spending.add(2 * len(items))
+            return {key: own(part, depth + 1) for key, part in items.items()}
+        elements = elements_of(value)
+        spending.add(len(elements))
+        return [own(part, depth + 1) for part in elements]
+
+    return own(message, 0)
 
 
 def _is_few(message: Message) -> bool:
@@ -292,7 +326,7 @@ def _is_few(message: Message) -> bool:
     for item in waiting:
         if isinstance(item, bytes | bytearray | memoryview | array):
             continue
-        if not isinstance(item, dict | list | tuple):  # it may be written as any number of values
+        if item.__class__ not in {dict, list, tuple}:  # it may be written as any number of values
             return False
         left -= 2 * len(item)
         if left < 0:
@@ -311,39 +345,50 @@ def _is_flat(value: Any) -> bool:
 
 def _has_large(message: Mapping[str, Any], levels: int) -> bool:
     for value in message.values():
-        if isinstance(value, bytes | bytearray | memoryview | list):
+        if type(value) in {bytes, bytearray, memoryview, list}:
             if len(value) >= _LARGE:
                 return True
-        elif isinstance(value, dict) and levels and _has_large(value, levels - 1):
+        elif type(value) is dict and levels and _has_large(value, levels - 1):
             return True
     return False
 
 
-def _write_parts(message: Mapping[str, Any], parts: list[Any], levels: int) -> None:
+def _write_parts(message: Mapping[str, Any], parts: list[Any], levels: int) -> int:
     """Write large buffers without the encoder's copies, and long lists a piece at a time.
 
     The encoder keeps the interpreter's lock from its first value to its last; between two pieces
-    other threads have their turn.
+    other threads have their turn. Returns about how many octets it wrote.
     """
+    spending, octets = BudgetUse(WRITTEN), 0
+    message = items_of(message)
     parts.append(_head(5, len(message)))
     for key, value in message.items():
+        spending.octets(octets)
         if not isinstance(key, str):
             raise TypeError("names must be strings")
         parts.append(_dumps(key))
-        if isinstance(value, bytes | bytearray | memoryview) and len(value) >= _LARGE:
-            octets = value
+        if type(value) in {bytes, bytearray, memoryview} and len(value) >= _LARGE:
+            spending.octets(buffer_octets(value))
+            whole = value
             if isinstance(value, memoryview):
-                octets = value.cast("B") if value.c_contiguous else value.tobytes()
-            parts += (_head(2, len(octets)), octets)
-        elif isinstance(value, dict) and levels:
-            _write_parts(value, parts, levels - 1)
-        elif isinstance(value, list) and len(value) >= _LARGE:
-            parts.append(_head(4, len(value)))
-            for start in range(0, len(value), _LARGE):
-                piece = value[start : start + _LARGE]
+                whole = value.cast("B") if value.c_contiguous else value.tobytes()
+            octets += len(whole)
+            parts += (_head(2, len(whole)), whole)
+        elif type(value) is dict and levels:
+            octets += _write_parts(value, parts, levels - 1)
+        elif type(value) is list and len(value) >= _LARGE:
+            elements = elements_of(value)
+            parts.append(_head(4, len(elements)))
+            for start in range(0, len(elements), _LARGE):
+                piece = elements[start : start + _LARGE]
                 parts.append(_dumps(piece)[len(_head(4, len(piece))) :])
+                octets += len(parts[-1])
+                spending.octets(octets)
         else:
             parts.append(_dumps(value))
+            octets += len(parts[-1])
+    spending.octets(octets)
+    return octets
 
 
 def _head(major: int, count: int) -> bytes:

@@ -19,7 +19,17 @@ from pybase64 import b64encode
 
 from uoarm._raised import contained, sentence_of
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Budget, BudgetUse, Message, count_names, read_json, scan_json
+from uoarm.model import (
+    MOST_OCTETS,
+    Budget,
+    BudgetUse,
+    Message,
+    count_names,
+    elements_of,
+    items_of,
+    read_json,
+    scan_json,
+)
 
 # No JSON text holds this character as it is: in a string it is written as an escape.
 _GAP = b"\0"
@@ -48,8 +58,13 @@ def dump_parts(
         TypeError: a value in it has no form.
     """
     octets: list[bytes] = []
+    left = MOST_OCTETS
 
     def write(value: Any) -> Any:
+        nonlocal left
+        left -= buffer_octets(value)
+        if left < 0:
+            raise ValueError(f"its arrays have more than {MOST_OCTETS:,} octets")
         if is_octets(value):
             octets.append(b64encode(_in_one_piece(value)))
             return _PLACE
@@ -63,6 +78,12 @@ def dump_parts(
     for text, piece in zip(octets, pieces[1:], strict=True):
         parts += (text, piece)
     return skeleton, parts
+
+
+def buffer_octets(value: Any) -> int:
+    """Return what a buffer stands for: one of numpy may repeat a few octets without an end."""
+    count: int = getattr(value, "nbytes", 0)
+    return count or (len(value) if isinstance(value, bytes | bytearray) else 0)
 
 
 def is_octets(value: Any) -> bool:
@@ -184,7 +205,7 @@ def _write_other(value: Any) -> Any:
     if isinstance(value, array):
         return _in_pieces(value, lambda piece: _write_list(piece.tolist()))
     if isinstance(value, Mapping):
-        return dict(value)
+        return items_of(value)
     if hasattr(value, "__array_interface__"):
         return _write_numpy(value)
     raise TypeError(f"a value of type {type(value).__name__}")
@@ -233,9 +254,9 @@ def _exact(value: Any) -> Any:
     if isinstance(value, int):
         return value if -SAFE_INTEGER <= value <= SAFE_INTEGER else str(value)
     if isinstance(value, Mapping):
-        return {key: _exact(item) for key, item in value.items()}
+        return {key: _exact(item) for key, item in items_of(value).items()}
     if isinstance(value, list | tuple):
-        return [_exact(item) for item in value]
+        return [_exact(item) for item in elements_of(value)]
     return value
 
 

@@ -12,7 +12,7 @@ import re
 import struct
 import sys
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import msgpack
@@ -20,7 +20,7 @@ import msgpack
 from uoarm import errors
 from uoarm._raised import contained, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UoarmError
-from uoarm.model import Message
+from uoarm.model import MOST_OCTETS, Message, elements_of, items_of
 
 Frame: TypeAlias = bytes | bytearray
 """What `unpack` reads; the caller changes it no more."""
@@ -29,6 +29,7 @@ _LENGTH = struct.Struct("<I")
 _BUFFER, _BIG = 1, 2
 _TYPE = re.compile(r"[<>|][biuf](1|2|4|8|16)")
 _MAX_DIMENSIONS = 32
+_WIDEST = 64  # bits
 _STEP = 8
 _FILL = bytes(_STEP)
 _LITTLE = sys.byteorder == "little"
@@ -66,14 +67,15 @@ def pack(message: Message) -> bytes:
         MessageError: it holds a value that is neither JSON, octets nor a numeric buffer.
     """
     buffers: list[Any] = []
+    left = MOST_OCTETS
 
     def other(value: Any) -> Any:
+        nonlocal left
+        left -= getattr(value, "nbytes", 0)
+        if left < 0:  # their values repeat, perhaps
+            raise MessageError(f"the arrays of a message have more than {MOST_OCTETS:,} octets")
         if isinstance(value, array):
             return _outside(buffers, value, _array_type(value), (len(value),))
-        if isinstance(value, int):
-            return msgpack.ExtType(
-                _BIG, value.to_bytes(value.bit_length() // 8 + 1, "big", signed=True)
-            )
         numpy: Any = sys.modules.get("numpy")
         # Without a class of that name another thread is importing it at this moment.
         scalar: Any = getattr(numpy, "generic", ())
@@ -83,13 +85,18 @@ def pack(message: Message) -> bytes:
         if isinstance(value, several) and value.dtype.kind in "biuf":
             whole = numpy.ascontiguousarray(value)
             return _outside(buffers, whole.reshape(-1).view("u1"), value.dtype.str, value.shape)
+        for kind, own in _OWN:
+            if isinstance(value, kind):
+                return own(value)
         raise MessageError(
             f"a message cannot carry a {type(value).__name__}: expected values of JSON, octets, "
             "or numeric buffers (numpy, array)"
         )
 
     try:
-        tree: bytes = msgpack.packb(message, default=other, unicode_errors="surrogatepass")
+        tree: bytes = msgpack.packb(
+            message, default=other, strict_types=True, unicode_errors="surrogatepass"
+        )
     except MessageError:
         raise
     except BaseException as error:  # of a value's own methods, or of one that changes meanwhile
@@ -101,6 +108,27 @@ def pack(message: Message) -> bytes:
     for buffer in buffers:
         parts += (buffer, _FILL[: -memoryview(buffer).nbytes % _STEP])
     return b"".join(parts)
+
+
+def _integer(value: int) -> Any:
+    number = int.__index__(value)
+    if number.bit_length() < _WIDEST:
+        return number
+    octets = number.to_bytes(number.bit_length() // 8 + 1, "big", signed=True)
+    return msgpack.ExtType(_BIG, octets)
+
+
+# What one of a subclass holds: its own methods may give elements without an end.
+_OWN: tuple[tuple[type, Callable[[Any], Any]], ...] = (
+    (list, elements_of),
+    (tuple, lambda value: list(elements_of(value))),
+    (dict, items_of),
+    (int, _integer),
+    (float, float.__float__),
+    (str, str.__str__),
+    (bytes, lambda value: memoryview(value).tobytes()),
+    (bytearray, lambda value: memoryview(value).tobytes()),
+)
 
 
 def unpack(frame: Frame) -> Message:
