@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from contextlib import ExitStack
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,13 @@ import trustme
 from attrs import evolve
 from played import LISTEN, STRING, TALK, Played, asked, bridge_to
 from ros import Serve, url
+from tests.hostile import misbehaviour  # type: ignore[import-not-found]
 from tests.inbox import health_events  # type: ignore[import-not-found]
 from tests.redirects import redirecting  # type: ignore[import-not-found]
 from tests.server.talk import eventually  # type: ignore[import-not-found]
+from uoarm_rosbridge._wire import write_publish_cbor, write_ros
 from uoarm_rosbridge.client import _connection, _options
+from uoarm_rosbridge.client._connection import json_text
 from uoarm_rosbridge.client._options import ClientOptions, Port, mistake
 from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
 from websockets.sync.server import ServerConnection
@@ -286,6 +290,26 @@ def test_types_of_ros_1_are_those_of_ros_1() -> None:
     assert written["pixels"] == "AP8="
     read = reader(made)(written)
     assert {**read, "for": list(read["for"])} == ONE_VALUE
+
+
+@pytest.mark.parametrize("name", ["pixels", "small", "gaps", "for"])
+def test_what_a_value_does_itself_is_a_refusal(name: str) -> None:
+    write = writer(read_types("x_msgs/All", [ONE, HEADER]))
+    assert not misbehaviour(lambda value: json_text(write({**ONE_VALUE, name: value})))
+
+
+@pytest.mark.parametrize("write", [write_ros, partial(write_publish_cbor, "/x", 1)])
+def test_what_a_value_does_itself_is_a_refusal_of_the_server(write: Any) -> None:
+    assert not misbehaviour(lambda value: write({"x": [value]}))
+
+
+def test_what_raises_is_named_with_its_place() -> None:
+    class Wrong(list[Any]):
+        def __iter__(self) -> Any:
+            raise GeneratorExit("of mine")
+
+    with pytest.raises(MessageError, match=r"^\$\.gaps: GeneratorExit: of mine"):
+        writer(read_types("x_msgs/All", [ONE, HEADER]))({**ONE_VALUE, "gaps": Wrong([1, 2])})
 
 
 def test_types_of_ros_2_are_those_of_ros_2() -> None:

@@ -21,8 +21,9 @@ import orjson
 from attrs import define, field
 from pybase64 import b64encode
 
+from uoarm.bridge import foreign, text_of
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import BudgetUse, Message, show_value
+from uoarm.model import BudgetUse, Message, elements_of, items_of, show_value
 from uoarm.server.front_end import dump_parts, read_text, write_binary
 
 _TEXTS = (
@@ -141,13 +142,16 @@ def write_publish_cbor(topic: str, number: int, message: Message) -> bytes:
 
 def _write_parts(message: Message) -> list[bytes]:
     try:
+        return foreign(_written, message)
+    except Exception as error:  # of a value's own methods, say
+        raise MessageError(f"the message has no form as JSON text: {text_of(error)}") from error
+
+
+def _written(message: Message) -> list[bytes]:
+    try:
         return dump_parts(message, _write_other)[1]
-    except (TypeError, ValueError):
-        pass
-    try:  # perhaps for a whole number beyond 64 bits, which orjson refuses
+    except (TypeError, ValueError):  # perhaps for a whole number beyond 64 bits, refused by orjson
         return dump_parts(_with_digits(message), _write_other)[1]
-    except (TypeError, ValueError, RecursionError) as error:
-        raise MessageError(f"the message has no form as JSON text: {error}") from error
 
 
 def _with_digits(value: Any) -> Any:
@@ -155,15 +159,15 @@ def _with_digits(value: Any) -> Any:
     if isinstance(value, int) and not -_MAX_NUMBER <= value < 2 * _MAX_NUMBER:
         return orjson.Fragment(str(value).encode())
     if isinstance(value, Mapping):
-        return {key: _with_digits(item) for key, item in value.items()}
+        return {key: _with_digits(item) for key, item in items_of(value).items()}
     if isinstance(value, list | tuple):
-        return [_with_digits(item) for item in value]
+        return [_with_digits(item) for item in elements_of(value)]
     return value
 
 
 def _write_other(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return dict(value)
+        return items_of(value)
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"a value of type {type(value).__name__}")

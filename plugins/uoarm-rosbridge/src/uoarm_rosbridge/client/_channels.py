@@ -20,10 +20,12 @@ from uoarm.bridge import (
     ReceiveQueue,
     Sink,
     Source,
+    foreign,
     on_failure,
+    text_of,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Budget, Endpoint, Health, Message
+from uoarm.model import MOST_OCTETS, Budget, Endpoint, Health, Message, elements_of, items_of
 from uoarm_rosbridge._wire import write_publish
 from uoarm_rosbridge.client._connection import Fields, ServerConnection, json_text
 from uoarm_rosbridge.client._options import Port
@@ -272,9 +274,11 @@ class ParameterSink(Sink):
 
     def _send(self, message: Message) -> None:
         try:
-            value = json_text(plain(message))
+            value = foreign(json_text, foreign(plain, message))
         except MessageError as error:
             raise MessageError(f"{self._name}: {error}") from error
+        except Exception as error:  # of a value's own methods, say
+            raise MessageError(f"{self._name}: {text_of(error)}") from error
         answer = self._connection.rosapi("set_param", name=self._name, value=value)
         if answer.get("successful") is False:
             text = f"{self.endpoint}: {str(answer.get('reason'))[:300]}"
@@ -339,7 +343,11 @@ def is_same(value: Any, other: Any) -> bool:
 def plain(value: Any) -> Any:
     """Return a value with mappings, lists and scalars of Python alone, as JSON has them."""
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in items_of(value).items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    return value.tolist() if hasattr(value, "tolist") else value
+        return [plain(item) for item in elements_of(value)]
+    if hasattr(value, "tolist"):
+        if (octets := memoryview(value).nbytes) > MOST_OCTETS:  # its values repeat, perhaps
+            raise MessageError(f"an array of {octets:,} octets: {MOST_OCTETS:,} are allowed")
+        return value.tolist()
+    return value

@@ -12,17 +12,20 @@ import operator
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
-from typing import Any, TypeAlias
+from itertools import islice
+from types import TracebackType
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import pybase64
 from attrs import field, frozen
 
-from uoarm.bridge import shown
+from uoarm.bridge import foreign, shown, text_of
 from uoarm.cdr import BASIC, FLOAT32_MAX, number_schema
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Message, MessageStructure
+from uoarm.model import MOST_OCTETS, Message, MessageStructure, elements_of
 
+_MOST_NUMBER_OCTETS = 2**27
 _OF_EACH_ROS = {"bool", "byte", "char"}  # no numbers, or other ones in ROS 1 than in ROS 2
 FORMATS = {kind: code for kind, code in BASIC.items() if code and kind not in _OF_EACH_ROS}
 # As the Python of ROS 2 calls them, and names of old, of which each ROS has another idea.
@@ -410,7 +413,28 @@ def writer(made: RosType) -> Callable[[Message], Any]:
 
     It raises MessageError where a message does not fit, or holds what JSON has no form for.
     """
-    return _writing(made, "$")
+    write = _writing(made, "$")
+
+    def write_fitting(message: Message) -> Any:
+        try:
+            return foreign(write, message)
+        except MessageError:
+            raise
+        except Exception as error:  # noqa: BLE001 - of a value's own methods, say
+            raised = error.__cause__ or error
+            raise MessageError(f"{_place_of(raised.__traceback__)}: {text_of(error)}") from raised
+
+    return write_fitting
+
+
+def _place_of(trace: TracebackType | None) -> str:
+    """Return the path of the value at which the writing ended."""
+    place = "$"
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == __file__:
+            place = trace.tb_frame.f_locals.get("path", place)
+        trace = trace.tb_next
+    return place
 
 
 def _writing(shape: RosShape, path: str) -> _Read:
@@ -422,9 +446,10 @@ def _writing(shape: RosShape, path: str) -> _Read:
                 raise _misfit(path, "an object", value)
             if missing := [name for name, _ in parts if name not in value]:
                 raise MessageError(f"{path}: the member {missing[0]!r} is missing")
-            if len(value) != len(parts):
-                unknown = next(name for name in value if name not in shape.fields)
-                raise MessageError(f"{path}: there is no member {str(unknown)[:80]!r}")
+            # No further: one that is no dict may have names without an end.
+            for name in islice(value, len(parts) + 1) if len(value) != len(parts) else ():
+                if name not in shape.fields:
+                    raise MessageError(f"{path}: there is no member {str(name)[:80]!r}")
             return {name: write(value[name]) for name, write in parts}
 
         return write_record
@@ -444,11 +469,12 @@ def _writing_primitive(kind: str, path: str) -> _Read:
 def _text(path: str, value: Any) -> str:
     if not isinstance(value, str):
         raise _misfit(path, "a text", value)
+    text = str.__str__(value)  # without the methods of a subclass
     try:
-        value.encode()
+        text.encode()
     except UnicodeEncodeError:
         raise _misfit(path, "a text of whole characters", value) from None
-    return value
+    return text
 
 
 def _truth(path: str, value: Any) -> bool:
@@ -492,13 +518,17 @@ def _writing_array(shape: ArrayOf, path: str) -> _Read:
     def write_array(value: Any) -> Any:
         if is_octets and isinstance(value, bytes | bytearray | memoryview):
             _require_size(path, size, value)
+            if memoryview(value).nbytes > MOST_OCTETS:  # they repeat, perhaps
+                raise _misfit(path, f"at most {MOST_OCTETS:,} octets", value)
             return pybase64.b64encode(value).decode()
         if isinstance(value, np.ndarray | array | memoryview) and wants_numbers:
+            if memoryview(cast(Any, value)).nbytes > _MOST_NUMBER_OCTETS:  # they repeat, perhaps
+                raise _misfit(path, f"at most {_MOST_NUMBER_OCTETS:,} octets of numbers", value)
             value = value.tolist()
         if not isinstance(value, Sequence) or isinstance(value, str | bytes | bytearray):
             raise _misfit(path, "an array", value)
         _require_size(path, size, value)
-        items = [write(item) for item in value]
+        items = [write(item) for item in elements_of(value)]
         return pybase64.b64encode(bytes(items)).decode() if is_octets else items
 
     return write_array
