@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.hostile import misbehaviour
 from tests.structures import closed
 
-from uoarm.cdr import CORBA, DDS, NATIVE, ROS_1, ByteOrder, Codec, Encoding
+from uoarm.cdr import CORBA, DDS, NATIVE, ROS_1, ByteOrder, Codec, Encoding, _values, _writing
 from uoarm.errors import MessageError
 from uoarm.model import Budget, MessageStructure, from_json, to_json
 from uoarm.testing import plain
@@ -328,9 +328,13 @@ def test_what_raises_is_named_with_its_place() -> None:
     assert isinstance(raised.value.__cause__, GeneratorExit)
 
 
-def test_a_text_that_stands_in_a_list_too_often_is_refused() -> None:
-    with pytest.raises(MessageError, match="octets up to here: 1,073,741,824 are allowed"):
-        codec(DDS, x=listing(TEXT)).encode({"x": ["x" * 2**26] * 2**10})
+def test_a_text_that_stands_in_a_list_too_often_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for module in (_values, _writing):
+        monkeypatch.setattr(module, "MOST_OCTETS", 2**20)
+    with pytest.raises(MessageError, match="octets up to here: 1,048,576 are allowed"):
+        codec(DDS, often=listing(TEXT)).encode({"often": ["x" * 2**16] * 2**10})
 
 
 @pytest.mark.parametrize("message", [None, 5, [], "text", {"a": 1}])
