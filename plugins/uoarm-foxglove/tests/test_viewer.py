@@ -340,7 +340,7 @@ def test_a_changed_robot_is_announced(serve: Serve, robot: RobotManager) -> None
     with Viewer(serve()) as viewer:
         gone = viewer.channel("/loose")["id"]
         viewer.service("/add")
-        text = components.CONFIGURATION.replace("  loose:\n", "  later:\n")
+        text = components.CONFIGURATION.replace("  loose:", "  later:")
         robot.apply(loads(text, origin=str(Path(__file__).parent / "robot.yaml")))
         assert viewer.until("unadvertise")["channelIds"] == [gone]
         assert viewer.channel("/later")["id"] != gone
