@@ -35,7 +35,7 @@ def slowness() -> float:
     """
     given = os.environ.get(_VARIABLE)
     if given is None:
-        given = os.environ[_VARIABLE] = f"{_sample() * _crowd():.1f}"
+        given = os.environ[_VARIABLE] = f"{_sample() * crowd():.1f}"
     return min(max(1.0, float(given)), _SLOWEST)
 
 
@@ -80,8 +80,8 @@ def _sample() -> float:
     return min(times) / _SAMPLE_SECONDS
 
 
-def _crowd() -> float:
-    """Return how many processes there are for each core; 1 where the system does not say."""
+def crowd() -> float:
+    """Return how many processes want each core now; 1 where the system does not say."""
     load = getattr(os, "getloadavg", lambda: (1.0,))()[0]
     return max(1.0, float(load) / (os.cpu_count() or 1))
 
