@@ -171,7 +171,7 @@ class RosbridgeSubscription(Subscription):
         super().__init__(
             client, self._form_asked(), throttle=throttle, on_refused=on_refused, on_end=on_end
         )
-        self._settle()
+        self.set_rate(options.every, options.length)
 
     def check_form(self, options: SubscribeOptions) -> None:
         """Refuse a wish for messages, whose structure is known now.

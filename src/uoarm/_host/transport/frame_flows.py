@@ -214,8 +214,8 @@ class FrameFlows:
             # One that is in a `take` is not waited for: that may hang.
             reading = None if self._taking is not None else self._reading
         for thread in (reading, self._watching):
-            has_begun = thread is not None and thread.ident is not None
-            if thread is not None and has_begun and thread is not threading.current_thread():
+            # One without a number never began: the system gave no more threads.
+            if thread is not None and thread.ident not in {None, threading.get_ident()}:
                 thread.join(_JOIN_SECONDS)
         for subscription in list(self._subscriptions.values()):
             subscription.end()

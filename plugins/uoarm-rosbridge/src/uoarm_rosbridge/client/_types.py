@@ -446,10 +446,11 @@ def _writing(shape: RosShape, path: str) -> _Read:
                 raise _misfit(path, "an object", value)
             if missing := [name for name, _ in parts if name not in value]:
                 raise MessageError(f"{path}: the member {missing[0]!r} is missing")
-            # No further: one that is no dict may have names without an end.
-            for name in islice(value, len(parts) + 1) if len(value) != len(parts) else ():
-                if name not in shape.fields:
-                    raise MessageError(f"{path}: there is no member {str(name)[:80]!r}")
+            if len(value) != len(parts):
+                # No further: one that is no dict may have names without an end.
+                for name in islice(value, len(parts) + 1):
+                    if name not in shape.fields:
+                        raise MessageError(f"{path}: there is no member {str(name)[:80]!r}")
             return {name: write(value[name]) for name, write in parts}
 
         return write_record
