@@ -348,6 +348,21 @@ def test_another_definition_of_a_type_is_refused_with_both_sums(
         bridge.describe(output("/another", "std_msgs/String", definition="int32 data"))
 
 
+def test_a_topic_is_well_again_once_whom_it_refused_is_gone(master: Master, lasting: Peer) -> None:
+    other = master.peer("other")
+    lasting.do("subscribe", topic="/mixed", type=INT)
+    with bridge_to(master) as bridge:
+        reports = Inbox(bridge)
+        sink = bridge.open_sink(input_("/mixed", INT, wait=patience()), ANY)
+        other.do("subscribe", topic="/mixed", type="std_msgs/String")
+        refused = reports.event(Health.DEGRADED, "/other wants topic /mixed")
+        sink.send({"data": 1})
+        assert not [event for event in reports.messages if event.health is Health.OK]
+        other.do("subscribe_no_more", topic="/mixed")
+        assert refused.channel is reports.event(Health.OK, "/other is connected, or subs").channel
+    other.kill()
+
+
 def test_a_subscriber_that_takes_no_tcpros_is_named(master: Master) -> None:
     with bridge_to(master) as bridge:
         reports = Inbox(bridge)

@@ -184,6 +184,53 @@ def test_what_the_server_refuses_is_said(played: Played) -> None:
         assert sink.facts()["refused_by_server"] == 1
 
 
+@pytest.mark.parametrize("ends_with", ["another message", "another connection"])
+def test_a_refusal_is_over_with_what_came_after_it(played: Played, ends_with: str) -> None:
+    def refuse(socket: ServerConnection, fields: Any) -> None:
+        if fields["op"] == "publish" and fields["msg"]["data"] == "x":
+            status = {"op": "status", "level": "error", "msg": "denied", "id": fields["id"]}
+            socket.send(json.dumps(status))
+
+    played.on = refuse  # type: ignore[method-assign]  # what a test replaces
+    with bridge_to(played.url, check=0.05) as bridge:
+        structure = bridge.describe(LISTEN).message
+        assert structure is not None
+        events = health_events(bridge)
+        sink = bridge.open_sink(LISTEN, structure)
+        sink.send({"data": "x"})
+        eventually(lambda: events, "a refused message is reported")
+        looks = len(asked(played, "call_service"))
+        eventually(lambda: len(asked(played, "call_service")) > looks + 2, "it looks")
+        assert [event.health for event in events] == [Health.DEGRADED], "it was the last message"
+        if ends_with == "another message":
+            for _ in range(2):  # the first may be taken for the one that was refused
+                sink.send({"data": "y"})
+        else:
+            played.sockets[-1].close()
+        eventually(
+            lambda: any(event.health is Health.OK and event.channel is sink for event in events),
+            "it is well again",
+        )
+
+
+def test_a_type_is_compared_as_soon_as_it_is_known_again(played: Played) -> None:
+    with bridge_to(played.url, check=0.05) as bridge:
+        structure = bridge.describe(LISTEN).message
+        assert structure is not None
+        events = health_events(bridge)
+        sink = bridge.open_sink(LISTEN, structure)
+        details = played.answers.pop("message_details")
+        played.sockets[-1].close()
+        eventually(lambda: events and events[-1].health is Health.OK, "it is connected again")
+        looks = len(asked(played, "call_service"))
+        eventually(lambda: len(asked(played, "call_service")) > looks + 2, "it looks")
+        assert details == {"typedefs": [STRING]}
+        played.answers["message_details"] = {"typedefs": [{**STRING, "fieldtypes": ["uint32"]}]}
+        eventually(lambda: events[-1].channel is sink, "it has another type")
+        assert events[-1].health is Health.LOST
+        assert "it has another type since the break" in events[-1].cause
+
+
 def test_a_plan_says_what_the_server_does_not(played: Played) -> None:
     text = f"""
 version: 1

@@ -32,13 +32,10 @@ from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_ros1._actions import ActionCaller, ServedAction, described_action
 from uoarm_ros1._channels import (
     Relay,
-    Ros1ParameterSink,
-    Ros1ParameterSource,
     Ros1TopicSink,
     Ros1TopicSource,
     SameTopic,
     TopicPlace,
-    parameter_structure,
 )
 from uoarm_ros1._definitions import DefinitionError, RosRecord, RosService, record_of
 from uoarm_ros1._discovery import Graph, discovered
@@ -52,6 +49,7 @@ from uoarm_ros1._options import (
     address_of,
     port_of,
 )
+from uoarm_ros1._parameters import Ros1ParameterSink, Ros1ParameterSource, parameter_structure
 from uoarm_ros1._services import Caller, ServedService, probe_service
 from uoarm_ros1._subscription import PublisherHeader
 from uoarm_ros1._types import TypeStore, described_service
@@ -63,7 +61,7 @@ _LATELY_SECONDS = 1.0
 _AWAY = frozenset({FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE})
 C = TypeVar("C", bound=Channel)
 T = TypeVar("T")
-_Ticking = Ros1TopicSource | Relay | SameTopic
+_Ticking = Ros1TopicSource | Ros1TopicSink | Relay | SameTopic
 
 
 class Ros1Bridge(Bridge):

@@ -1,4 +1,4 @@
-"""Sources and sinks on topics and parameters, and links that move octets as they are."""
+"""Sources and sinks on topics, and links that move octets as they are."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Any
 
 from attrs import evolve, frozen
 
@@ -15,18 +14,17 @@ from uoarm.bridge import (
     ChannelHealth,
     ChannelMonitor,
     Delivery,
-    ReceiveQueue,
+    HealthReason,
     Sink,
     Source,
-    did_you_mean,
     on_failure,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
+from uoarm.model import Endpoint, Health, Message
 from uoarm_ros1._definitions import RosRecord
 from uoarm_ros1._discovery import Graph
 from uoarm_ros1._node import Node
-from uoarm_ros1._options import Ros1Address, Ros1Options
+from uoarm_ros1._options import Ros1Options
 from uoarm_ros1._subscription import PublisherHeader, SubscriptionOptions, TopicSubscription
 from uoarm_ros1._types import framed_writer, reader
 
@@ -34,6 +32,7 @@ _WAIT_SECONDS = 0.2
 _LOOK_SECONDS = 0.005
 _SHARED_SECONDS = 0.2
 _LATELY_SECONDS = 1.0
+_MOST_REFUSED = 16
 
 
 @frozen
@@ -206,6 +205,8 @@ class _Publishing:
         self.place = place
         self.health = place.health("subscriber", say)
         self._refusal = ""
+        # When they were: added to in the loop's thread, taken from by the watch.
+        self._refused: dict[str, float] = {}
         port, node = place.port, place.node
         limits = (port.queue, 4 * node.options.budget.octets)
         self.publication = node.advertise(place.topic, record, latch=int(port.latch), limits=limits)
@@ -226,16 +227,35 @@ class _Publishing:
         )
         self.place.node.withdraw(publication)
 
-    def _watch(self, what: str, refused: bool) -> None:  # noqa: FBT001 - of the publication
-        if refused:
-            self._refusal = what
-            self.health.refused(what)
-        else:
+    def tick(self, graph: Graph) -> None:
+        """Look whether who was refused is connected now, or subscribes no more."""
+        before = dict(self._refused)
+        if not before:
+            return
+        try:
+            state = graph.state
+            subscribing = set(state.subscribers.get(self.place.topic, ()))
+            away = graph.living((before.keys() & subscribing).difference(self.publication.callers))
+        except BridgeError:
+            return  # of the master's absence it says nothing
+        for caller in before.keys() - away:
+            if state.asked > before[caller]:
+                self._refused.pop(caller, None)
+                why = f"{caller} is connected, or subscribes no more"
+                self.health.judged(HealthReason.REFUSED, Health.OK, why, caller)
+
+    def _watch(self, what: str, refused: str) -> None:
+        if not refused:
             self.health.connected(len(self.publication.callers), what)
+            return
+        self._refusal = what
+        if refused in self._refused or len(self._refused) < _MOST_REFUSED:
+            self._refused[refused] = time.monotonic()
+            self.health.judged(HealthReason.REFUSED, Health.DEGRADED, what, refused)
 
     def _wait(self) -> None:
         """Wait until every subscriber that the master knows, and that lives, is connected."""
-        self._watch("it is opened", False)
+        self._watch("it is opened", "")
         place, node = self.place, self.place.node
         deadline = time.monotonic() + place.wait
         wanted = place.port.node and node.resolve(place.port.node)
@@ -314,6 +334,10 @@ class Ros1TopicSink(Sink):
         """Wait until every subscriber's machine has what was sent."""
         return self._publication.drain(timeout)
 
+    def tick(self, graph: Graph) -> None:
+        """Look whether subscribers that were refused still are."""
+        self._publishing.tick(graph)
+
     def _send(self, message: Message) -> None:
         self._publication.send(self._write(message))
 
@@ -354,9 +378,10 @@ class Relay(Channel):
         """Wait until every subscriber's machine has what was moved."""
         return self._publishing.publication.drain(timeout)
 
-    def tick(self, _: Graph) -> None:
-        """Look whether messages come."""
+    def tick(self, graph: Graph) -> None:
+        """Look whether messages come, and whether subscribers that were refused still are."""
         self._subscribed.health.tick()
+        self._publishing.tick(graph)
 
     def _take(self, run: bytes | bytearray, _: str) -> None:
         self._subscribed.health.passed()
@@ -408,182 +433,3 @@ class SameTopic(Channel):
 
     def _close(self) -> None:
         """Nothing was opened."""
-
-
-_INTEGER = {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}
-_ABSENT: Any = {}
-_LOOK: Any = object()
-_DEEP = 16
-
-
-def parameter_structure(
-    node: Node, endpoint: Endpoint, address: Ros1Address
-) -> MessageStructure | None:
-    """Return what the value of a parameter is like now.
-
-    Raises:
-        BridgeError: it is not set.
-    """
-    name = node.resolve(address.name)
-    try:
-        value = node.master.call("getParam", name)
-    except BridgeError as error:
-        if error.reason is not FailureReason.REFUSED:
-            raise
-        names = node.master.call("getParamNames")
-        meant = did_you_mean(name, map(str, names)) if isinstance(names, list) else ""
-        text = f"{endpoint}: the parameter {name} is not set{meant}"
-        raise BridgeError(text, FailureReason.NOT_FOUND) from error
-    return MessageStructure(_schema(value, _DEEP), native_type="parameter")
-
-
-def _schema(value: Any, depth: int) -> Any:
-    if isinstance(value, bool):
-        return {"type": "boolean"}
-    if isinstance(value, int):
-        return dict(_INTEGER)
-    if isinstance(value, float):
-        return {"type": "number"}
-    if isinstance(value, str):
-        return {"type": "string"}
-    if isinstance(value, bytes):
-        octet = {"type": "integer", "minimum": 0, "maximum": 255}
-        return {"type": "array", "items": octet, "x-octets": True}
-    if isinstance(value, list):
-        kinds = [_schema(item, depth - 1) for item in value] if depth else []
-        same = bool(kinds) and all(kind == kinds[0] for kind in kinds)
-        return {"type": "array", "items": kinds[0]} if same else {"type": "array"}
-    if isinstance(value, dict) and depth:
-        return {
-            "type": "object",
-            "properties": {key: _schema(item, depth - 1) for key, item in value.items()},
-            "required": sorted(value),
-        }
-    return True
-
-
-class Ros1ParameterSource(Source):
-    """The value of a parameter as it is, and each time that it is set.
-
-    While it is not set any more, since it was deleted or the master was started again without it,
-    or has a value that is more than is read, the channel is degraded.
-    """
-
-    latched = True
-
-    def __init__(
-        self,
-        node: Node,
-        endpoint: Endpoint,
-        address: Ros1Address,
-        deliver: Deliver,
-        report: Callable[[Channel, Health, str], None],
-    ) -> None:
-        super().__init__(endpoint)
-        self._node, self._deliver, self._report = node, deliver, report
-        self._name = node.resolve(address.name)
-        self._received = 0
-        self._is_gone = self._is_looking = False
-        # Guards the last value: what the master answers comes in one thread, changes in the loop's.
-        self._lock = threading.Lock()
-        self._last: Any = _ABSENT
-        # Only the newest matter to who is slow.
-        self._queue: ReceiveQueue[Any] = ReceiveQueue(f"uoarm-ros1-{self._name}", self._hand_on, 2)
-        with on_failure(self._queue.close):
-            value = node.watch_parameter(self._name, self._take)
-        if value == _ABSENT:
-            self._close()
-            text = f"{endpoint}: the parameter {self._name} is not set"
-            raise BridgeError(text, FailureReason.NOT_FOUND)
-        self._take(self._name, value, is_set=False)
-
-    def facts(self) -> Mapping[str, object]:
-        """Return counters."""
-        return {"received": self._received, "under_way": len(self._queue)}
-
-    def _take(self, key: str, value: Any, *, is_set: bool) -> None:
-        """Take a value that was set, or that is what a registration found, at first or again."""
-        with self._lock:
-            if key != self._name:  # one within it: the whole is asked for
-                value = _ABSENT
-            # A new master that has none reports the next one: whether it has come meanwhile is
-            # looked at, and not delivered, or both would bring it.
-            elif not is_set and value == _ABSENT:
-                if not self._is_looking:
-                    self._is_looking = True
-                    self._queue.put(_LOOK)
-                return
-            # The bridge's look at the master may register anew between the entry in the node's
-            # table and the first registration: both find the same value, which was set once.
-            elif not is_set and value == self._last:
-                return
-            self._last = value
-            self._queue.put(value)
-
-    def _hand_on(self, value: Any) -> None:
-        is_look = value is _LOOK
-        if is_look:
-            self._is_looking = False
-        if is_look or value == _ABSENT:
-            try:
-                value = self._node.master.call("getParam", self._name)
-            except BridgeError as error:
-                if error.reason is FailureReason.REFUSED:
-                    self._note_gone("is not set any more")
-                elif error.reason is FailureReason.BAD_MESSAGE:
-                    self._note_gone(f"cannot be read: {error}")
-                return  # or the master is away: it is looked at again when it is back
-        if is_look:
-            return
-        if self._is_gone:
-            self._is_gone = False
-            self._report(self, Health.OK, f"the parameter {self._name} is set again")
-        self._received += 1
-        self._deliver(value)
-
-    def _note_gone(self, why: str) -> None:
-        with self._lock:
-            self._last = _ABSENT  # the value that it had is news when it is found again
-        if not self._is_gone:
-            self._is_gone = True
-            self._report(self, Health.DEGRADED, f"the parameter {self._name} {why}")
-
-    def _close(self) -> None:
-        self._queue.close()
-        self._node.unwatch_parameter(self._name, self._take)
-
-
-class Ros1ParameterSink(Sink):
-    """Sets a parameter; waits for the master to take it."""
-
-    def __init__(self, node: Node, endpoint: Endpoint, address: Ros1Address) -> None:
-        super().__init__(endpoint)
-        self._node, self._name = node, node.resolve(address.name)
-        self._sent = 0
-
-    def facts(self) -> Mapping[str, object]:
-        """Return counters."""
-        return {"sent": self._sent}
-
-    def _send(self, message: Message) -> None:
-        value = plain(message)
-        try:
-            self._node.master.call("setParam", self._name, value)
-        except ValueError as error:
-            raise MessageError(f"{self._name}: {error}") from error
-        self._sent += 1
-        self._node.parameter_changed(self._name, value)
-
-    def _close(self) -> None:
-        """Nothing is held."""
-
-
-def plain(value: Any) -> Any:
-    """Return a message without arrays of numpy, which XML-RPC does not know."""
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if hasattr(value, "tolist") and not isinstance(value, memoryview):
-        return value.tolist()
-    return value

@@ -159,8 +159,8 @@ class TopicPublication:
 
     Attributes:
         registered: how many subscribers the master knew as it was registered; None: not asked.
-        watchers: called, in the loop's thread, with what has happened, and whether it is that a
-            node was refused; else one has come or gone.
+        watchers: called, in the loop's thread, with what has happened, and the node that was
+            refused; empty: one has come or gone.
     """
 
     _loop: SocketLoop
@@ -177,7 +177,7 @@ class TopicPublication:
     _lost: int = field(default=0, init=False)
     sent: int = field(default=0, init=False)
     registered: int | None = field(default=None, init=False)
-    watchers: tuple[Callable[[str, bool], None], ...] = field(default=(), init=False)
+    watchers: tuple[Callable[[str, str], None], ...] = field(default=(), init=False)
 
     @property
     def callers(self) -> list[str]:
@@ -240,7 +240,7 @@ class TopicPublication:
             with suppress(OSError):
                 connection.send(encode_header({"error": problem, "callerid": self._caller}))
             connection.close()
-            self._say(problem, refused=True)
+            self._say(problem, refused=caller)
             return
         keep_alive(connection)
         if header.get("tcp_nodelay") == "0":
@@ -303,8 +303,8 @@ class TopicPublication:
 
     def refuse_transport(self, caller: str) -> None:
         """Say that a subscriber asks for what is not spoken here; in the loop's thread."""
-        self._say(f"{caller} wants {self.topic} over UDPROS alone, and not TCPROS", refused=True)
+        self._say(f"{caller} wants {self.topic} over UDPROS alone, and not TCPROS", refused=caller)
 
-    def _say(self, what: str, *, refused: bool = False) -> None:
+    def _say(self, what: str, *, refused: str = "") -> None:
         for watcher in self.watchers:
             watcher(what, refused)

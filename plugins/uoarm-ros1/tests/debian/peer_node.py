@@ -120,6 +120,12 @@ def subscribe(topic, type):
     )
 
 
+def subscribe_no_more(topic):
+    for kept in KEPT:
+        if isinstance(kept, rospy.Subscriber) and kept.name == topic:
+            kept.unregister()
+
+
 def subscribe_any(topic):
     """Take whatever is published, as tools do: of any type and sum, with what its header says."""
     CAME[topic] = []

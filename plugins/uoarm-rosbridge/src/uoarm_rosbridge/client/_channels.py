@@ -157,6 +157,8 @@ class TopicSink(Sink):
         self._connection, self.topic = connection, topic
         self._write, self.made = writer(made), made
         self._sent = self._refused = 0
+        # How many were sent, and how often the connection broke, when the server last refused one.
+        self._refused_at: tuple[int, int] | None = None
         self._why = ""
         self._is_open = False
         self.health = monitored(self, topic, port, report)
@@ -192,6 +194,26 @@ class TopicSink(Sink):
             return False
         return True
 
+    def look(self) -> None:
+        """Look whether a message has passed since the server refused one.
+
+        Of a connection that began since, none was refused.
+
+        Raises:
+            BridgeError: the server does not answer.
+        """
+        refused, refused_at, connection = self._refused, self._refused_at, self._connection
+        if refused_at is None:
+            return
+        sent, breaks = refused_at
+        if breaks == connection.breaks:
+            if self._sent <= sent:
+                return
+            connection.settle()
+        if self._refused == refused:  # what is refused is said before what comes after it
+            self._refused_at = None
+            self.health.passed()
+
     def _send(self, message: Message) -> None:
         head = f'{{"id":"{self._identity}",'
         octets = write_publish(self.topic, self._sent, self._write(message))
@@ -201,7 +223,8 @@ class TopicSink(Sink):
     def _status(self, text: str) -> None:
         """Take note of what the server says of it: an operation was refused."""
         self._refused += 1
-        self._why = text
+        # It may be one that is not counted yet.
+        self._refused_at, self._why = (self._sent + 1, self._connection.breaks), text
         if self._is_open:
             self.health.refused(f"the server says: {text}")
 

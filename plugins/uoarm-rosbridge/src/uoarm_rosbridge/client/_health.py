@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any
 from weakref import WeakSet
 
@@ -48,6 +49,8 @@ class PeerWatch:
         # Guards what is open and what was lost, between steps, the connection and the watch.
         self._lock = threading.Lock()
         self._channels: WeakSet[Channel] = WeakSet()
+        # Whose types were not compared since the last break, in the watch alone.
+        self._unverified: WeakSet[Channel] = WeakSet()
         self._lost: dict[str, tuple[Endpoint, frozenset[str]]] = {}
         self._closing, self._poked = threading.Event(), threading.Event()
         self._is_new = self._is_asked = False
@@ -124,13 +127,16 @@ class PeerWatch:
         """Look at all that is open, and for all that was lost; one that fails hinders no other."""
         with self._lock:
             channels, lost = tuple(self._channels), dict(self._lost)
-        is_new, self._is_new = self._is_new, False
+        if self._is_new:
+            self._is_new = False
+            self._unverified.update(channels)
         with suppress(BridgeError):
             self._connection.ask_again()
         for channel in channels:
             if not channel.closed:
-                with self._passed_over():
-                    self._look_at(channel, is_new=is_new)
+                for look in self._looks(channel):
+                    with self._passed_over():
+                        look()
         for component, (endpoint, before) in lost.items():
             now = frozenset[str]()
             with self._passed_over():
@@ -151,13 +157,19 @@ class PeerWatch:
         except Exception as error:  # noqa: BLE001 - of one answer
             self._records.write(logging.WARNING, "an answer of rosapi cannot be read", error)
 
-    def _look_at(self, channel: Channel, *, is_new: bool) -> None:
-        if isinstance(channel, ParameterSource):
-            channel.look()
-        elif isinstance(channel, TopicSource | TopicSink):
-            self._look_at_peers(channel)
-            if is_new and not self._is_same(channel.made):
-                channel.health.refused("it has another type since the break", final=True)
+    def _looks(self, channel: Channel) -> Iterator[Callable[[], None]]:
+        """Return the looks at a channel; one that the robot refuses hinders no other."""
+        if isinstance(channel, ParameterSource | TopicSink):
+            yield channel.look
+        if isinstance(channel, TopicSource | TopicSink):
+            yield partial(self._look_at_peers, channel)
+            if channel in self._unverified:
+                yield partial(self._look_at_type, channel)
+
+    def _look_at_type(self, channel: TopicSource | TopicSink) -> None:
+        if not self._is_same(channel.made):
+            channel.health.refused("it has another type since the break", final=True)
+        self._unverified.discard(channel)
 
     def _look_at_peers(self, channel: TopicSource | TopicSink) -> None:
         endpoint, role = channel.endpoint, channel.endpoint.role
