@@ -6,10 +6,12 @@ import json
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import pytest
-from brokers import Broker, Peer
+from attrs import evolve
+from brokers import Broker, Peer, running
 from tests.inbox import health_events, until  # type: ignore[import-not-found]
 from uoarm_mqtt.connection import BrokerConnection
 from uoarm_vda5050.vehicle import Vehicle
@@ -151,6 +153,38 @@ def test_a_fatal_error_is_reported_and_its_end(broker: Broker) -> None:
         assert degraded.cause.endswith("/ailing: fatal: wheelBroken: the left one")
         driver.vehicle.clear_error("wheelBroken")
         assert until(events, Health.OK).component == "ailing"
+
+
+def test_a_vehicle_that_is_well_when_its_broker_is_back_is_reported_to_be(tmp_path: Path) -> None:
+    with (
+        running(tmp_path / "broker") as broker,
+        driven(broker, "ailing") as driver,
+        bridge_to(broker) as bridge,
+    ):
+        events = health_events(bridge)
+        bridge.open_sink(endpoint("ailing", "transport", "goal"), ANYTHING)
+        driver.vehicle.raise_error("wheelBroken", "the left one", fatal=True)
+        wait(lambda: [event.health for event in events if event.component] == [Health.DEGRADED])
+        broker.kill()
+        driver.vehicle.clear_error("wheelBroken")
+        broker.start()  # no last will: the vehicle says once more that it is there
+        wait(lambda: [event.health for event in events if event.component][1:] == [Health.OK])
+
+
+def test_a_component_that_opens_learns_that_its_vehicle_is_not_well(broker: Broker) -> None:
+    with driven(broker, "unwell") as driver, bridge_to(broker) as bridge:
+        events = health_events(bridge)
+        place = endpoint("unwell", "transport", "goal")
+        bridge.open_sink(place, ANYTHING).close()
+        driver.vehicle.raise_error("wheelBroken", "the left one", fatal=True)
+        degraded = until(events, Health.DEGRADED)
+        for component in ("unwell", "another"):  # opened anew, and for the first time
+            del events[:]
+            bridge.open_sink(evolve(place, component=component), ANYTHING)
+            report = until(events, Health.DEGRADED)
+            assert (report.component, report.cause) == (component, degraded.cause)
+        driver.vehicle.clear_error("wheelBroken")
+        wait(lambda: len([event for event in events if event.health is Health.OK]) == 2)
 
 
 def test_vehicles_are_discovered_with_what_they_are(broker: Broker) -> None:

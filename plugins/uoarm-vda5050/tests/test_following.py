@@ -135,7 +135,7 @@ def test_a_vehicle_that_falls_silent_while_it_cancels_is_followed_when_it_speaks
     reports: list[str] = []
     codecs = dict.fromkeys(("order", "instantActions", "state"), codec)
     follower = VehicleFollower(
-        link, "v2/m/s", transport, 0.05, codecs, lambda _, cause: reports.append(cause)
+        link, "v2/m/s", transport, 0.05, codecs, lambda _, cause, __: reports.append(cause)
     )
     news: list[Any] = []
     follower.join(news.append)
@@ -265,7 +265,7 @@ def test_silence_is_distinguished_from_states_that_cannot_be_read() -> None:
     reports: list[tuple[Health, str]] = []
     follower = VehicleFollower(
         link, "v2/m/s", TransportState(RELEASES["2.1"]), 0.2, {"state": codec},
-        lambda *report: reports.append(report),
+        lambda *report: reports.append(report[:2]),
     )  # fmt: skip
     unreadable = "peer: vehicle m/s: its state cannot be read: "
     silent = "silent: vehicle m/s: no message for 0.2 s that can be read"

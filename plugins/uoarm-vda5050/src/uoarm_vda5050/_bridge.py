@@ -90,6 +90,7 @@ class Vda5050Bridge(Bridge):
     ) -> Source:
         place = self._place(endpoint)
         follower = self._follow(place, endpoint)
+        follower.greet(endpoint.component)
         if place.topic == TRANSPORT:
             most = self._broker.options.backlog
             return TransportSource(endpoint, place.part, follower, deliver, most)
@@ -112,6 +113,7 @@ class Vda5050Bridge(Bridge):
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         place = self._place(endpoint)
         follower = self._follow(place, endpoint)
+        follower.greet(endpoint.component)
         if place.topic == TRANSPORT:
             return TransportSink(endpoint, place.part, follower, self._broker)
         codec = self._codec(place, structure)
@@ -206,8 +208,8 @@ class Vda5050Bridge(Bridge):
     def _topic(self, place: VehicleAddress) -> str:
         return f"{self._prefix}/{place.manufacturer}/{place.serial_number}"
 
-    def _report_vehicle(self, vehicle: Vehicle, health: Health, cause: str) -> None:
+    def _report_vehicle(self, vehicle: Vehicle, health: Health, cause: str, component: str) -> None:
         with self._lock:
-            names = sorted(self._names.get(vehicle, ()))
+            names = [component] if component else sorted(self._names.get(vehicle, ()))
         for name in names:
             self.report(health, cause, component=name)

@@ -42,7 +42,7 @@ class StateRead:
 
 
 News = Status | Feedback | GoalEnded | StateRead
-_Event = ReceivedMessage | tuple[bool, str]
+_Event = ReceivedMessage | tuple[bool, str] | str
 
 
 class VehicleFollower:
@@ -54,7 +54,7 @@ class VehicleFollower:
         transport: what becomes of its orders; touched under the lock only.
         state_timeout: seconds without a state that can be read after which that is reported.
         codecs: of `order`, `instantActions` and `state`.
-        on_health: is called with health and cause.
+        on_health: is called with health, cause, and the component that it is for; "": all of it.
     """
 
     def __init__(
@@ -64,13 +64,14 @@ class VehicleFollower:
         transport: TransportState,
         state_timeout: float,
         codecs: Mapping[str, VdaCodec],
-        on_health: Callable[[Health, str], object],
+        on_health: Callable[[Health, str, str], object],
     ) -> None:
         self._link, self._topic, self._codecs, self._on_health = link, topic, codecs, on_health
         self._transport, self._timeout = transport, state_timeout
         # Of a vehicle that is there, anew with each coming; touched by the thread only. That it
         # has gone is reported by what watches its connection.
         self._health: ChannelHealth | None = self._new_health()
+        self._reported = Health.OK, ""
         # Guards the orders and the listeners, and is held while news is announced: what listeners
         # receive is in the order in which it came about, whichever thread brought it.
         self._lock = threading.Lock()
@@ -97,6 +98,10 @@ class VehicleFollower:
     def connection(self, online: bool, why: str) -> None:  # noqa: FBT001
         """Take the news that it came or went; returns at once."""
         self._inbox.put((online, why))
+
+    def greet(self, component: str) -> None:
+        """Report to a component that opens how the vehicle is, where it is not well."""
+        self._inbox.put(component)
 
     def facts(self) -> Mapping[str, object]:
         """Return how many states its header counters skipped, and how many could not be read."""
@@ -141,10 +146,20 @@ class VehicleFollower:
 
     def _take(self, event: _Event) -> None:
         now = time.monotonic()
+        if isinstance(event, str):
+            if self._reported[0] is not Health.OK:
+                self._on_health(*self._reported, event)
+            return
         if isinstance(event, tuple):
             online, why = event
             self._last_id = None
-            self._health = self._new_health() if online else None
+            # One that says so again is as it was, until its next state says how it is now.
+            if not online:
+                self._health = None
+            elif self._health is None:
+                self._health = self._new_health()
+                # What this thread reported of it late, after its coming was, is over.
+                self._say(Health.OK, f"its {why}")
             with self._lock:
                 self._do(self._transport.connection(online, why))
             return
@@ -209,7 +224,12 @@ class VehicleFollower:
 
     def _report(self, report: ChannelReport | None) -> None:
         if report is not None:
-            self._on_health(report.health, report.cause)
+            self._say(report.health, report.cause)
+
+    def _say(self, health: Health, cause: str) -> None:
+        if health is not self._reported[0] or health is not Health.OK:
+            self._reported = health, cause
+            self._on_health(health, cause, "")
 
     def _announce(self, news: News) -> None:
         """Have every listener take in news, under the lock."""
