@@ -68,5 +68,9 @@ def health_events(bridge: Bridge) -> list[HealthEvent]:
 
 def until(events: list[HealthEvent], health: Health) -> HealthEvent:
     """Wait for an event of this health, and return the first."""
-    wait(lambda: any(event.health is health for event in events), f"{health}: {events}", patience())
+    wait(
+        lambda: any(event.health is health for event in events),
+        lambda: f"{health}: {events}",
+        patience(),
+    )
     return next(event for event in events if event.health is health)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import inspect
+from contextlib import closing
 
 import pytest
+from tests.testing.test_memory_conformance import MemoryWorld
 
 from uoarm import RobotManager
-from uoarm.bridge import Bridge
+from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import BridgeTimeoutError
-from uoarm.model import Endpoint, Role
-from uoarm.testing import MemoryBridge, hanging, patience
+from uoarm.model import Endpoint, Health, Role
+from uoarm.testing import MemoryBridge, hanging, patience, wait
 from uoarm.testing._waiting import default_limits
+from uoarm.testing.conformance._failures import HealthLog
 
 
 def test_a_call_without_a_limit_has_the_one_around_it() -> None:
@@ -43,3 +46,26 @@ def test_nor_is_a_client_or_a_server_that_is_late_taken_for_gone() -> None:
     assert inspect.signature(client.connect).parameters["timeout"].default == patience()
     defaults = inspect.signature(asyncio_client.connect.__init__).parameters
     assert defaults["ping_timeout"].default == patience()
+
+
+def test_a_wait_that_fails_shows_how_things_are_then() -> None:
+    looks: list[None] = []
+    with pytest.raises(AssertionError, match="1 look"):
+        wait(lambda: looks.append(None), lambda: f"{len(looks)} look", timeout=0)
+    with pytest.raises(AssertionError, match="never"):
+        wait(lambda: False, "never", timeout=0)
+
+
+def test_what_a_bridge_reported_while_the_kit_waited_is_shown() -> None:
+    with closing(MemoryBridge("one")) as bridge:
+        log = HealthLog(MemoryWorld(), bridge)
+        log.patience = 0
+        endpoint = Endpoint("one", "camera", Role.OUTPUT, ("camera",))
+        bridge.report(Health.DEGRADED, "early")
+
+        def looked_at(_: HealthEvent) -> bool:
+            bridge.report(Health.LOST, "late")
+            return False
+
+        with pytest.raises(AssertionError, match="late"):
+            log.wait(endpoint, None, looked_at)

@@ -70,7 +70,7 @@ def test_the_protocols_own_client_sees_publishes_and_calls(
             {"topic": "/loose", "message": {"text": "x"}},
             {"call": 5, "reply": {"data": 3}},
         ):
-            wait(lambda: expected in seen(), f"no {expected}: {seen()}")  # noqa: B023
+            wait(lambda: expected in seen(), lambda: f"no {expected}: {seen()}")  # noqa: B023
         assert not [item for item in seen() if "error" in item or "status" in item]
         wait(
             lambda: any("/numbers" in item.get("published", ()) for item in seen()),

@@ -237,7 +237,7 @@ class TestBudget:
                 collector.wait_begun(1, patience())
                 for number in range(1, 9):
                     peer.publish("stuck", str(number))
-                wait(lambda: source.facts()["lost_on_link"] == 5, str(source.facts()))
+                wait(lambda: source.facts()["lost_on_link"] == 5, lambda: str(source.facts()))
             assert collector.wait(4) == [0, 6, 7, 8]
 
 
@@ -315,7 +315,7 @@ class TestPresence:
             with pytest.raises(BridgeError, match='says "OFF"'):
                 bridge.open_source(place, ANYTHING, lambda _: None)
             peer.publish("v/1/connection", json.dumps({"state": "ON"}), retain=True)
-            wait(lambda: len(events) == 3, f"{events}")
+            wait(lambda: len(events) == 3, lambda: f"{events}")
             bridge.describe(place)
 
     def test_two_with_one_name_on_two_topics_are_two(self, broker: Broker) -> None:
@@ -456,7 +456,7 @@ class TestServices:
         assert "of no negative number" in dict(came[1].properties.UserProperty)["error"]
         assert "MessageError" in dict(came[2].properties.UserProperty)["error"]
         assert "SystemExit" in dict(came[3].properties.UserProperty)["error"]
-        wait(lambda: channel.facts()["unanswerable"] == 1, f"{channel.facts()}")
+        wait(lambda: channel.facts()["unanswerable"] == 1, lambda: f"{channel.facts()}")
 
     @pytest.mark.parametrize("said", ["two\nlines", "nul\0", "del\x7f", "none\ufdd0", "\U0001ffff"])
     def test_a_failure_in_any_words_is_reported_and_breaks_no_connection(
@@ -622,7 +622,10 @@ class TestBroker:
             broker.send_signal(signal.SIGSTOP)
             try:
                 # Before that the broker may have ended the connection of one that was late itself.
-                wait(lambda: any("Keep alive" in event.cause for event in events), f"{events}")
+                wait(
+                    lambda: any("Keep alive" in event.cause for event in events),
+                    lambda: f"{events}",
+                )
                 bridge.close(timeout=patience())
             finally:
                 broker.send_signal(signal.SIGCONT)

@@ -198,7 +198,7 @@ def test_a_receiver_that_raises_ends_no_other(
     link.subscribe(Receiver("raising/a", came.append))
     for payload in (b"1", b"2"):
         link.publish("raising/a", payload, lambda _: None)
-        wait(lambda: came and came[-1].payload == payload, f"{came}")  # noqa: B023
+        wait(lambda: came and came[-1].payload == payload, lambda: f"{came}")  # noqa: B023
     assert link._up
     link.close()
     assert "m: a message on raising/a was not taken" in caplog.text

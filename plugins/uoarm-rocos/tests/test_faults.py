@@ -388,7 +388,7 @@ def test_what_waits_for_a_slow_receiver_is_bounded_in_octets() -> None:
                 written = CODEC.write(DataMessage(seq, flow, GOOD))
                 wide = written.replace(b"</data>", b" " * 1_000_000 + b"</data>")
                 device.connection.sendall(device.framer.frame(wide))
-            wait(lambda: source.facts()["received"] == 20, f"{source.facts()}", LIMIT)
+            wait(lambda: source.facts()["received"] == 20, lambda: f"{source.facts()}", LIMIT)
             # 8 of them wait, and the first may have been delivered before.
             assert source.facts()["lost_on_link"] in {11, 12}
 

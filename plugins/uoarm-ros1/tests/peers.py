@@ -156,7 +156,7 @@ class Peer(AnsweringProgram):  # type: ignore[misc]  # the harness is not on its
             seen[0] = self.do(command, **given)
             return fits(seen[0])
 
-        wait(has_come, f"{command} {given}: what came last was {seen}")
+        wait(has_come, lambda: f"{command} {given}: what came last was {seen}")
         return seen[0]
 
 

@@ -68,7 +68,7 @@ def test_a_camera_that_is_killed_is_replaced_and_returned_to(master: Master) -> 
                 peers[name].do("publish", topic=topic, type="std_msgs/Int32", values=values)
                 return values in came
 
-            wait(has_come, f"nothing of {name}: {came}")
+            wait(has_come, lambda: f"nothing of {name}: {came}")
 
         comes_from("first", 1)
         peers["first"].kill()

@@ -296,9 +296,9 @@ def test_a_deadline_that_a_reader_asks_for_makes_no_writer_lost(
     out = sink(bridge, endpoint(Role.INPUT, "/seldom", INT64))
     out.send({"data": 1})
     # Three deadlines, and a second at least, are a silence for who reads.
-    wait(lambda: int(str(out.facts()["deadlines_missed"])) >= 8, str(out.facts()))
+    wait(lambda: int(str(out.facts()["deadlines_missed"])) >= 8, lambda: str(out.facts()))
     assert {event.health for event in events.messages if event.channel is out} == {Health.DEGRADED}
-    wait(lambda: out.send({"data": 2}) or _is_well(events), str(events.messages))
+    wait(lambda: out.send({"data": 2}) or _is_well(events), lambda: str(events.messages))
 
 
 def _is_well(events: Inbox) -> bool:

@@ -70,7 +70,7 @@ def test_instant_actions_of_2_0_have_either_name(broker: Broker) -> None:
             return [action["actionStatus"] for action in states[-1]["actionStates"]]
 
         expected = ["FINISHED", "FINISHED", "FAILED"]
-        wait(lambda: states and became() == expected, f"{states[-1:]}")
+        wait(lambda: states and became() == expected, lambda: f"{states[-1:]}")
     peer.close()
 
 

@@ -157,11 +157,11 @@ def test_a_vehicle_that_falls_silent_while_it_cancels_is_followed_when_it_speaks
             vehicle.instant(action)
         reports.clear()
         says()
-        wait(lambda: any("silent" in cause for cause in reports), f"{reports}")
+        wait(lambda: any("silent" in cause for cause in reports), lambda: f"{reports}")
         vehicle.driving = False
         vehicle.stands()
         says()
-        wait(lambda: ends(news) == [("canceled", "cancelled")], f"{news}")
+        wait(lambda: ends(news) == [("canceled", "cancelled")], lambda: f"{news}")
     finally:
         follower.close()
 
@@ -179,10 +179,10 @@ def test_states_that_were_not_followed_are_in_the_facts(broker: Broker) -> None:
         status.wait(1)  # a state was seen, from which the next ones are counted
         for _ in range(3):
             driver.vehicle._headers.next("state")
-        wait(lambda: counted("states_missed") >= 3, str(source.facts()))
+        wait(lambda: counted("states_missed") >= 3, lambda: str(source.facts()))
         topic = f"{driver.vehicle._topic}/state"
         driver.vehicle._broker.publish(topic, b"{", lambda _: None, qos=0)
-        wait(lambda: counted("states_unreadable") == 1, str(source.facts()))
+        wait(lambda: counted("states_unreadable") == 1, lambda: str(source.facts()))
 
 
 @pytest.mark.parametrize("lacking", ["errors", "driving", "nodeStates"])
@@ -203,7 +203,7 @@ def test_a_state_that_lacks_what_the_rules_need_is_unreadable_and_the_next_is_ta
         for body in ({key: whole[key] for key in whole if key != lacking}, whole):
             event: Any = SimpleNamespace(payload=json.dumps(body))
             follower._inbox.put(event)
-        wait(lambda: reports and reports[-1][0] is Health.OK, str(reports))
+        wait(lambda: reports and reports[-1][0] is Health.OK, lambda: str(reports))
     finally:
         follower.close()
     assert reports[0][0] is Health.DEGRADED
@@ -232,7 +232,7 @@ def test_a_call_that_is_given_up_says_which_states_came_and_could_not_be_read() 
         follower.connection(True, "")
         event: Any = SimpleNamespace(payload=b"{")
         follower._inbox.put(event)
-        wait(follower.unread_states, str(follower.facts()))
+        wait(follower.unread_states, lambda: str(follower.facts()))
         why = r"did not end in 0\.01 s; a state came that cannot be read: .*Expecting property name"
         with pytest.raises(BridgeTimeoutError, match=why):
             call(
@@ -272,8 +272,8 @@ def test_silence_is_distinguished_from_states_that_cannot_be_read() -> None:
     try:
         event: Any = SimpleNamespace(payload=b"{")
         follower._inbox.put(event)
-        wait(lambda: reports and unreadable in reports[-1][1], str(reports))
-        wait(lambda: reports[-1][1].startswith(f"{silent}; {unreadable}"), str(reports))
+        wait(lambda: reports and unreadable in reports[-1][1], lambda: str(reports))
+        wait(lambda: reports[-1][1].startswith(f"{silent}; {unreadable}"), lambda: str(reports))
         follower.connection(False, "")
         follower._inbox.put(event)
         wait(lambda: follower.facts()["states_unreadable"] == 2)
@@ -311,7 +311,7 @@ def test_an_order_that_the_client_fails_to_send_is_rejected_and_the_next_state_i
         follower._inbox.put(came)  # from which on the order can be sent
         wait(
             lambda: ends(received) == [("rejected", "RuntimeError('no v2/m/s/order')")],
-            str(received),
+            lambda: str(received),
         )
         follower._inbox.put(came)
         wait(lambda: len(taken) == 2)
@@ -372,7 +372,7 @@ def test_states_that_cannot_be_read_count_against_what_is_read_from_them(broker:
         topic = f"{driver.vehicle._topic}/state"
         driver.vehicle._broker.publish(topic, b"{", lambda _: None, qos=0)
         # The states that follow can be read, and nothing of them is a result.
-        wait(lambda: source.unreadable == 1 and "" in got.unread, str(got.unread))
+        wait(lambda: source.unreadable == 1 and "" in got.unread, lambda: str(got.unread))
         assert "Expecting property name" in next(filter(None, got.unread))
         assert got.messages == []
 

@@ -51,12 +51,17 @@ def patience() -> float:
 @arguments()
 def wait(
     ready: Callable[[], object],
-    never: str = "it did not come to pass",
+    never: str | Callable[[], str] = "it did not come to pass",
     timeout: float | None = None,
 ) -> None:
     """Wait until something is true of which there is no event.
 
     Looks after five milliseconds, then less and less often, and fifty times a second in the end.
+
+    Args:
+        ready: called until it returns what is true.
+        never: why it failed, or a function that returns this, called then.
+        timeout: seconds.
 
     Raises:
         AssertionError: with the text of `never`, after `timeout` or else `patience` seconds.
@@ -64,7 +69,7 @@ def wait(
     deadline = time.monotonic() + (patience() if timeout is None else timeout)
     pause, seconds = threading.Event(), _FIRST_GLANCE_SECONDS
     while not ready():
-        assert time.monotonic() < deadline, never
+        assert time.monotonic() < deadline, never() if callable(never) else never
         pause.wait(seconds)
         seconds = min(1.25 * seconds, _GLANCE_SECONDS)
 

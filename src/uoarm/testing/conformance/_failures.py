@@ -63,7 +63,7 @@ class HealthLog:
         """
         wait(
             lambda: any(map(fits, self.of(endpoint, channel))),
-            f"{endpoint}: it was not reported; what was: {self.events}",
+            lambda: f"{endpoint}: it was not reported; what was: {self.events}",
             self.patience,
         )
         return next(filter(fits, self.of(endpoint, channel)))
@@ -247,7 +247,7 @@ def _worse(log: HealthLog, through: Line) -> HealthEvent:
     bad = {Health.DEGRADED, Health.LOST}
     wait(
         lambda: any(health_event.health in bad for health_event in _about(log, through)),
-        f"a break was not reported, of neither end; what was: {log.events}",
+        lambda: f"a break was not reported, of neither end; what was: {log.events}",
         log.patience,
     )
     return next(health_event for health_event in _about(log, through) if health_event.health in bad)
@@ -262,8 +262,11 @@ def _well(log: HealthLog, through: Line) -> None:
         }
         return all(health is Health.OK for health in last.values())
 
-    never = f"what was degraded was not reported to be well again: {log.events}"
-    wait(all_well, never, log.patience)
+    wait(
+        all_well,
+        lambda: f"what was degraded was not reported to be well again: {log.events}",
+        log.patience,
+    )
 
 
 def _end(log: HealthLog, through: Line) -> tuple[Endpoint, Channel]:
