@@ -694,6 +694,24 @@ class TestBroker:
             assert sink.drain(patience())
             assert [event.channel for event in events] == [sink, sink], "the connection broke"
 
+    def test_a_refusal_ends_with_the_connection_although_nothing_is_sent(
+        self, tmp_path: Path
+    ) -> None:
+        lines = "allow_anonymous true\nmessage_size_limit 100\n"
+        with running(tmp_path / "broker", lines) as broker, bridge_to(broker) as bridge:
+            events = health_events(bridge)
+            sink = speak(bridge, "limited")
+            sink.send("x" * 200)
+            assert until(events, Health.DEGRADED).channel is sink
+            broker.kill()
+            broker.start()
+            wait(
+                lambda: (
+                    [event.health for event in events if event.channel is sink][1:] == [Health.OK]
+                ),
+                str(events),
+            )
+
     @pytest.mark.parametrize(
         ("limit", "most", "beyond", "why"),
         [

@@ -163,6 +163,7 @@ class MqttSink(Sink):
         health = ChannelHealth(topic, time.monotonic())
         self._health = ChannelMonitor(health, partial(report, self))
         link.require_taken(options.qos, retain=options.retain)
+        link.join(self._health)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters; `undelivered`: taken by the broker while no client was subscribed."""

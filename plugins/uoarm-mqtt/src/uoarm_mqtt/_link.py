@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
+from weakref import WeakSet
 
 from attrs import define, field, frozen
 from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage
@@ -22,6 +23,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from uoarm.bridge import (
     Backoff,
+    ChannelMonitor,
     Disconnection,
     LimitedLog,
     close_in_children,
@@ -109,6 +111,7 @@ class BrokerConnection:
     # Guards all that is mutable here: callers in any thread, against paho's.
     _changed: threading.Condition = field(factory=threading.Condition, init=False)
     _subscriptions: Subscriptions = field(factory=Subscriptions, init=False)
+    _senders: WeakSet[ChannelMonitor] = field(factory=WeakSet, init=False)
     # Packets that wait for an answer, and answers that came before their packet was noted.
     _pending: dict[tuple[str, int], _Pending] = field(factory=dict, init=False)
     _early: dict[tuple[str, int], PacketOutcome] = field(factory=dict, init=False)
@@ -240,6 +243,14 @@ class BrokerConnection:
         if wrong:
             text = f"bridge {self.name!r}: the broker at {self._where} takes {wrong}"
             raise BridgeError(text, FailureReason.REFUSED)
+
+    def join(self, sender: ChannelMonitor) -> None:
+        """Have what the broker refused of a sender end with the connection: the next may take it.
+
+        Another broker may answer at the same address, or one with other rights.
+        """
+        with self._changed:
+            self._senders.add(sender)
 
     def publish(
         self,
@@ -457,6 +468,9 @@ class BrokerConnection:
             receivers = [
                 (receiver, self._subscriptions.add(receiver)) for receiver in self._subscriptions
             ]
+            senders = tuple(self._senders)
+        for sender in senders:  # before paho sends again what may be refused again
+            sender.passed()
         left = len(receivers) + len(leaving)
 
         def ready() -> None:
