@@ -524,14 +524,19 @@ def test_messages_that_the_middleware_lost_are_counted_and_reported(
 
 def test_two_types_on_one_topic_are_reported(bridge: Bridge, peer: Start) -> None:
     events = Inbox(bridge)
-    first, second = peer("first"), peer("second")
+    first, second = peer("first"), peer("second", **MORTAL)
     first.do("advertise", topic="/both")
     second.do("advertise", topic="/both", kind="String")
     known(bridge, "/first", "/second")
     with pytest.raises(BridgeError, match=r"several types: std_msgs/msg/Int64 \(/first\); std_msg"):
         bridge.describe(endpoint(Role.OUTPUT, "/both"))
-    assert bridge.describe(endpoint(Role.OUTPUT, "/both", INT64)).message is not None
+    described = bridge.describe(endpoint(Role.OUTPUT, "/both", INT64))
+    assert "carries other types than std_msgs/msg/Int64" in described.note
+    channel = source(bridge, endpoint(Role.OUTPUT, "/both", INT64), print)
     events.event(Health.DEGRADED, "carries other types than std_msgs/msg/Int64")
+    second.kill()
+    events.event(Health.OK, "carries std_msgs/msg/Int64 only")
+    assert {event.channel for event in events.messages if "carries" in event.cause} == {channel}
 
 
 def test_a_type_that_joins_later_is_an_event(bridge: Bridge, peer: Start) -> None:

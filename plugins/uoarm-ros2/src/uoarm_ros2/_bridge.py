@@ -32,7 +32,7 @@ from uoarm_ros2._actions import Action, ActionSink, ActionSource
 from uoarm_ros2._channels import PublisherSink, SameTopicLink, SerialisedRelay, SubscriptionSource
 from uoarm_ros2._conversion import writer
 from uoarm_ros2._diagnostics import DiagnosticsReader
-from uoarm_ros2._discovery import NodePresence, Ros2Graph, Topic, discovered
+from uoarm_ros2._discovery import NodePresence, Ros2Graph, discovered
 from uoarm_ros2._health import SimulatedClock
 from uoarm_ros2._managed_nodes import ManagedNodes, NodeAccess
 from uoarm_ros2._middleware import NodeRunner, Participant
@@ -239,7 +239,8 @@ class Ros2Bridge(Bridge):
         if isinstance(self._clock, SimulatedClock):
             self._clock.begins_again = self._lookups.forget_moving
         self._called: dict[Ros2Address, ServiceClient | Action] = {}
-        self._disagreements: dict[str, str] = {}
+        # What differs at components that were called, and the client that looks.
+        self._disagreements: dict[str, tuple[str, ServiceClient | Action]] = {}
         self._watched: dict[Channel, Callable[[], None]] = {}
         self._runner.tick = self._tick
         self._runner.cut_off = self._cut_off
@@ -261,8 +262,9 @@ class Ros2Bridge(Bridge):
             return Description(message=part_structure(address.type, address.part))
         self._diagnostics.require_well(options.diagnostics, endpoint.component)
         topic = self._graph.topic(address, endpoint.role, options)
-        self._mention_others(topic, endpoint)
-        return Description(message=self._structure(topic.type, topic.name))
+        others = f"it carries other types than {topic.type} too: {topic.others}"
+        structure = self._structure(topic.type, topic.name)
+        return Description(message=structure, note=others if topic.others else "")
 
     def _describe_service(self, address: Ros2Address, options: Ros2Options) -> Description:
         action, _, type_name = self._require_server(address, options)
@@ -356,7 +358,7 @@ class Ros2Bridge(Bridge):
                     return server.call(message, timeout, wait, self.cancelling)
                 return server.call(message, timeout, wait)
             finally:
-                self._report_disagreement(endpoint, server)
+                self._report_disagreement(endpoint.component, server)
 
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
@@ -440,7 +442,6 @@ class Ros2Bridge(Bridge):
     ) -> TopicContext:
         self._diagnostics.require_well(options.diagnostics, endpoint.component)
         topic = self._graph.topic(address, endpoint.role, options)
-        self._mention_others(topic, endpoint)
         native = self._types.find(topic.type, topic.name)
         large = is_large(shape_of(native, topic.type))
         return TopicContext(
@@ -477,21 +478,16 @@ class Ros2Bridge(Bridge):
             channel.wait()
         return channel
 
-    def _mention_others(self, topic: Topic, endpoint: Endpoint) -> None:
-        if topic.others:
-            text = f"topic {topic.name} carries other types than {topic.type} too: {topic.others}"
-            self.report(Health.DEGRADED, text, component=endpoint.component)
-
-    def _report_disagreement(self, endpoint: Endpoint, server: ServiceClient | Action) -> None:
+    def _report_disagreement(self, component: str, server: ServiceClient | Action) -> None:
         """Report a component that is called beside servers of the same name with another type."""
         with suppress(BridgeError):  # the bridge was closed meanwhile
             text = server.comparison.look().text
-            before = self._disagreements.get(endpoint.component, "")
-            self._disagreements[endpoint.component] = text
+            before = self._disagreements.get(component, ("", server))[0]
+            self._disagreements[component] = text, server
             if text != before:
                 health = Health.DEGRADED if text else Health.OK
                 self._report_component(
-                    health, text or "every server of it has our definition", endpoint.component
+                    health, text or "every server of it has our definition", component
                 )
 
     def _reachable(self, address: Ros2Address, options: Ros2Options) -> Action:
@@ -516,6 +512,9 @@ class Ros2Bridge(Bridge):
             else:
                 tick()
         self._shared.tick()
+        for component, (text, server) in list(self._disagreements.items()):
+            if text:  # it may end without another call
+                self._report_disagreement(component, server)
         self._lookups.tick()
         self._managed.tick()
         self._graph.tick()
