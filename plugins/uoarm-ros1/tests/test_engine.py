@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.hostile import misbehaviour  # type: ignore[import-not-found]
 from uoarm_ros1._definitions import DefinitionError, record_of, service_of
 from uoarm_ros1._health import LostComponents, MasterHealth
 from uoarm_ros1._options import (
@@ -23,6 +24,7 @@ from uoarm_ros1._options import (
     mistake,
     topic_name,
 )
+from uoarm_ros1._parameters import value_for
 from uoarm_ros1._tcpros import (
     ProtocolError,
     ReplyReader,
@@ -528,3 +530,8 @@ def test_what_was_killed_is_back_with_another_address_or_an_answer() -> None:
     assert [lost.look(key, dead, answers=True) for _ in range(3)] == ["", "", ""]
     lost.forget("camera")
     assert lost.keys == ()
+
+
+def test_what_a_value_of_a_parameter_does_itself_is_a_refusal() -> None:
+    assert not misbehaviour(lambda value: value_for("/x", value))
+    assert not misbehaviour(lambda value: value_for("/x", {"x": [value]}))

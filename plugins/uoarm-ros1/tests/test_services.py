@@ -206,17 +206,26 @@ def test_an_action_that_fails_says_how(master: Master) -> None:
         with pytest.raises(BridgeTimeoutError):
             bridge.call(service("/waiting", ADD), goal, timeout=slowness())
         caller: Any = bridge
-        goals = caller._callers[("/waiting", ADD)]._goals
-        wait(lambda: not goals, "the goal that was given up is waited for")
+
+        def goals() -> Any:
+            waiting = caller._callers.get(("/waiting", ADD))
+            return waiting and waiting._goals
+
+        wait(lambda: not goals(), "the goal that was given up is waited for")
         cancelled = Background(lambda: bridge.call(service("/waiting", ADD), goal, number=5))
-        wait(lambda: goals, "the goal was not sent")
+        wait(goals, "the goal was not sent")
         wait(lambda: bridge.cancel_call(5), "it cannot be cancelled")
         with pytest.raises(
             BridgeError, match=r"the goal was (preempted: it was asked to stop|recalled)"
         ):
             cancelled.result()
+        garbled = Background(lambda: bridge.call(service("/waiting", ADD), goal))
+        wait(goals, "the goal was not sent")
+        caller._callers[("/waiting", ADD)]._take_result(b"\1\0", "/acting")
+        with pytest.raises(BridgeError, match="lost: what its server sends cannot be read"):
+            garbled.result()
         lost = Background(lambda: bridge.call(service("/waiting", ADD), goal))
-        wait(lambda: goals, "the goal was not sent")
+        wait(goals, "the goal was not sent")
         peer.kill()
         with pytest.raises(BridgeError, match="the goal was lost"):
             lost.result()

@@ -30,7 +30,7 @@ from uoarm import RobotManager
 from uoarm.bridge import HealthEvent, options_table
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason, MessageError
-from uoarm.model import Endpoint, Health, Role
+from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm.server import ServerOptions, hash_token, make_token, serve_in_thread
 from uoarm.testing import Collector, patience
 
@@ -348,6 +348,15 @@ def test_what_a_value_does_itself_is_a_refusal(name: str) -> None:
 @pytest.mark.parametrize("write", [write_ros, partial(write_publish_cbor, "/x", 1)])
 def test_what_a_value_does_itself_is_a_refusal_of_the_server(write: Any) -> None:
     assert not misbehaviour(lambda value: write({"x": [value]}))
+
+
+def test_what_a_value_of_a_parameter_does_itself_is_a_refusal(played: Played) -> None:
+    at = Endpoint("far", "robot", Role.INPUT, ("/speed", "parameter"))
+    played.answers["set_param"] = {"successful": True}
+    with bridge_to(played.url) as bridge:
+        sink = bridge.open_sink(at, MessageStructure(True))
+        assert not misbehaviour(sink.send)
+        assert not misbehaviour(lambda value: sink.send({"x": [value]}))
 
 
 def test_what_raises_is_named_with_its_place() -> None:

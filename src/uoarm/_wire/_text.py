@@ -25,8 +25,8 @@ from uoarm.model import (
     BudgetUse,
     Message,
     count_names,
-    elements_of,
     items_of,
+    plain_copy,
     read_json,
     scan_json,
 )
@@ -247,16 +247,16 @@ def _write_list(numbers: list[Any]) -> bytes:
 
 def _exact(value: Any) -> Any:
     """Return a copy in which every number that JSON cannot hold exactly is a string."""
+    return plain_copy(value, _exact_number)
+
+
+def _exact_number(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else _name(value)
     if isinstance(value, bool):
         return value
     if isinstance(value, int):
         return value if -SAFE_INTEGER <= value <= SAFE_INTEGER else str(value)
-    if isinstance(value, Mapping):
-        return {key: _exact(item) for key, item in items_of(value).items()}
-    if isinstance(value, list | tuple):
-        return [_exact(item) for item in elements_of(value)]
     return value
 
 

@@ -38,9 +38,11 @@ from uoarm.model._message import (
     QueuePolicy,
     Schema,
     ValidationMode,
+    array_as_lists,
     elements_of,
     items_of,
     message_octets,
+    plain_copy,
 )
 from uoarm.model._offer import (
     Availability,
@@ -181,6 +183,7 @@ __all__ = [
     "StopOutcome",
     "StopReport",
     "ValidationMode",
+    "array_as_lists",
     "count_names",
     "elements_of",
     "find_trouble",
@@ -194,6 +197,7 @@ __all__ = [
     "message_octets",
     "octets_of",
     "place_problem",
+    "plain_copy",
     "read_control",
     "read_json",
     "scan_json",

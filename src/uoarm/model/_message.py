@@ -169,6 +169,41 @@ def items_of(value: Mapping[Any, Any]) -> dict[Any, Any]:
     return value.copy() if type(value) is dict else dict(_counted(value.items(), len(value)))
 
 
+def plain_copy(value: Any, leaf: Callable[[Any], Any] | None = None) -> Any:
+    """Return a value whose mappings and lists are Python's own: others may never come to an end.
+
+    Args:
+        value: any value.
+        leaf: makes what is neither a mapping nor a list; without it that stays as it is.
+
+    Raises:
+        ValueError: as by `elements_of`; what the value's own methods, or `leaf`, raise passes.
+    """
+    if type(value) in _FLAT:  # as most are, and a test for a mapping costs several times as much
+        return value if leaf is None else leaf(value)
+    if isinstance(value, Mapping):
+        return {key: plain_copy(item, leaf) for key, item in items_of(value).items()}
+    if isinstance(value, list | tuple):
+        elements = elements_of(value)
+        if set(map(type, elements)) <= _FLAT:
+            return elements if leaf is None else [*map(leaf, elements)]
+        return [plain_copy(element, leaf) for element in elements]
+    return value if leaf is None else leaf(value)
+
+
+def array_as_lists(value: Any) -> Any:
+    """Return an array, or a scalar, of numpy with values of Python; anything else as it is.
+
+    Raises:
+        ValueError: it says that it has more than `MOST_OCTETS`.
+    """
+    if not hasattr(value, "tolist") or isinstance(value, memoryview):
+        return value
+    if (octets := memoryview(value).nbytes) > MOST_OCTETS:  # its values repeat, perhaps
+        raise ValueError(f"an array of {octets:,} octets: {MOST_OCTETS:,} are allowed")
+    return plain_copy(value.tolist())  # of objects, perhaps
+
+
 def _counted(values: Iterable[Any], size: int) -> list[Any]:
     if size > _MOST_CLAIMED:
         raise ValueError(f"it has {size:,} elements: {_MOST_CLAIMED:,} are allowed")

@@ -135,8 +135,10 @@ class BrokerClient(ThreadedClient):
         return f"it ended before the broker answered: does it ask for {hint}? {why}"
 
     def _handle_publish(self) -> MQTTErrorCode:
-        ended = super()._handle_publish()
-        received, self._received = self._received, None
+        try:
+            ended = super()._handle_publish()
+        finally:  # what could not be read to its end had one, perhaps
+            received, self._received = self._received, None
         if received is not None:
             # paho keeps each message of QoS 2 until the broker lets it go. Mosquitto 2.0 sends far
             # more at once than it was asked for, so each is taken as it comes; its number is kept.

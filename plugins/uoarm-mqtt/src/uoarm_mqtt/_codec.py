@@ -17,9 +17,8 @@ from uoarm.model import (
     Message,
     MessageStructure,
     Schema,
-    elements_of,
-    items_of,
     octets_of,
+    plain_copy,
     read_json,
     scan_json,
 )
@@ -99,7 +98,7 @@ class PayloadCodec:
             if not isinstance(message, str):
                 raise TypeError(f"expected a text, got {type(message).__name__}")
             return message.encode()
-        values, separators = _own(message), (",", ":")
+        values, separators = plain_copy(message), (",", ":")
         text = json.dumps(
             values, ensure_ascii=False, allow_nan=False, separators=separators, default=self._plain
         )
@@ -113,7 +112,7 @@ class PayloadCodec:
             count = getattr(value, "size", 0)  # its values repeat, perhaps
             if count > self.budget.octets:
                 raise ValueError(f"an array of {count:,} elements is longer than any payload")
-            return _own(listed())
+            return plain_copy(listed())
         raise TypeError(f"a {type(value).__name__} has no form in JSON")
 
     def _decode(self, payload: bytes, content_type: str) -> Message:
@@ -239,16 +238,3 @@ def with_topic(inner: MessageStructure) -> MessageStructure:
         return {"type": "object", "properties": both, **closed}
 
     return MessageStructure(enclose(inner.schema, around))
-
-
-_SCALARS = {bool, int, float, str, type(None)}
-
-
-def _own(value: Any) -> Any:
-    """Return a value whose mappings and lists are Python's own; others may never come to an end."""
-    if isinstance(value, Mapping):
-        return {name: _own(part) for name, part in items_of(value).items()}
-    if isinstance(value, list | tuple):
-        elements = elements_of(value)
-        return elements if set(map(type, elements)) <= _SCALARS else [*map(_own, elements)]
-    return value

@@ -239,7 +239,8 @@ class ActionCaller:
     def _take_result(self, frame: bytes | bytearray, _: str) -> None:
         try:
             message = self._read_result(frame)
-        except MessageError:
+        except MessageError as error:
+            self._end_all(f"what its server sends cannot be read: {error}")
             return
         status = message["status"]
         with self._lock:

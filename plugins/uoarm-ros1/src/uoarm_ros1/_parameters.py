@@ -6,11 +6,29 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.bridge import Channel, ReceiveQueue, Sink, Source, did_you_mean, on_failure
+from uoarm.bridge import (
+    Channel,
+    ReceiveQueue,
+    Sink,
+    Source,
+    did_you_mean,
+    foreign,
+    on_failure,
+    text_of,
+)
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
+from uoarm.model import (
+    Deliver,
+    Endpoint,
+    Health,
+    Message,
+    MessageStructure,
+    array_as_lists,
+    plain_copy,
+)
 from uoarm_ros1._node import Node
 from uoarm_ros1._options import Ros1Address
+from uoarm_ros1._xmlrpc import encode_call
 
 _INTEGER = {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}
 _ABSENT: Any = {}
@@ -168,11 +186,8 @@ class Ros1ParameterSink(Sink):
         return {"sent": self._sent}
 
     def _send(self, message: Message) -> None:
-        value = plain(message)
-        try:
-            self._node.master.call("setParam", self._name, value)
-        except ValueError as error:
-            raise MessageError(f"{self._name}: {error}") from error
+        value = value_for(self._name, message)
+        self._node.master.call("setParam", self._name, value)
         self._sent += 1
         self._node.parameter_changed(self._name, value)
 
@@ -180,12 +195,15 @@ class Ros1ParameterSink(Sink):
         """Nothing is held."""
 
 
-def plain(value: Any) -> Any:
-    """Return a message without arrays of numpy, which XML-RPC does not know."""
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if hasattr(value, "tolist") and not isinstance(value, memoryview):
-        return value.tolist()
+def value_for(name: str, message: Message) -> Any:
+    """Return a message as the value of a parameter, which XML-RPC can say.
+
+    Raises:
+        MessageError: it cannot.
+    """
+    try:
+        value = foreign(plain_copy, message, array_as_lists)
+        foreign(encode_call, "setParam", (name, value))
+    except Exception as error:  # of a value's own methods, say
+        raise MessageError(f"{name}: {text_of(error)}") from error
     return value

@@ -23,7 +23,7 @@ from pybase64 import b64encode
 
 from uoarm.bridge import foreign, text_of
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import BudgetUse, Message, elements_of, items_of, show_value
+from uoarm.model import BudgetUse, Message, items_of, plain_copy, show_value
 from uoarm.server.front_end import dump_parts, read_text, write_binary
 
 _TEXTS = (
@@ -151,17 +151,13 @@ def _written(message: Message) -> list[bytes]:
     try:
         return dump_parts(message, _write_other)[1]
     except (TypeError, ValueError):  # perhaps for a whole number beyond 64 bits, refused by orjson
-        return dump_parts(_with_digits(message), _write_other)[1]
+        return dump_parts(plain_copy(message, _with_digits), _write_other)[1]
 
 
 def _with_digits(value: Any) -> Any:
-    """Return a copy in which each whole number beyond 64 bits is written already."""
+    """Return a whole number beyond 64 bits as it is written, anything else as it is."""
     if isinstance(value, int) and not -_MAX_NUMBER <= value < 2 * _MAX_NUMBER:
         return orjson.Fragment(str(value).encode())
-    if isinstance(value, Mapping):
-        return {key: _with_digits(item) for key, item in items_of(value).items()}
-    if isinstance(value, list | tuple):
-        return [_with_digits(item) for item in elements_of(value)]
     return value
 
 

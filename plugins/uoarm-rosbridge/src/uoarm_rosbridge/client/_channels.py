@@ -25,7 +25,7 @@ from uoarm.bridge import (
     text_of,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import MOST_OCTETS, Budget, Endpoint, Health, Message, elements_of, items_of
+from uoarm.model import Budget, Endpoint, Health, Message, array_as_lists, plain_copy
 from uoarm_rosbridge._wire import write_publish
 from uoarm_rosbridge.client._connection import Fields, ServerConnection, json_text
 from uoarm_rosbridge.client._options import Port
@@ -297,9 +297,7 @@ class ParameterSink(Sink):
 
     def _send(self, message: Message) -> None:
         try:
-            value = foreign(json_text, foreign(plain, message))
-        except MessageError as error:
-            raise MessageError(f"{self._name}: {error}") from error
+            value = foreign(json_text, foreign(plain_copy, message, array_as_lists))
         except Exception as error:  # of a value's own methods, say
             raise MessageError(f"{self._name}: {text_of(error)}") from error
         answer = self._connection.rosapi("set_param", name=self._name, value=value)
@@ -361,16 +359,3 @@ def is_same(value: Any, other: Any) -> bool:
         return value.dtype == other.dtype and value.tobytes() == other.tobytes()
     is_none = value != value and other != other  # noqa: PLR0124 - two NaN
     return type(value) is type(other) and bool(is_none or value == other)
-
-
-def plain(value: Any) -> Any:
-    """Return a value with mappings, lists and scalars of Python alone, as JSON has them."""
-    if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in items_of(value).items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in elements_of(value)]
-    if hasattr(value, "tolist"):
-        if (octets := memoryview(value).nbytes) > MOST_OCTETS:  # its values repeat, perhaps
-            raise MessageError(f"an array of {octets:,} octets: {MOST_OCTETS:,} are allowed")
-        return value.tolist()
-    return value

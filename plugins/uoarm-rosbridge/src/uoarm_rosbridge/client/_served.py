@@ -12,8 +12,8 @@ from attrs import define
 
 from uoarm.bridge import Channel, Handler, ServedRequests, on_failure, text_of
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Health, Message
-from uoarm_rosbridge.client._channels import Report, plain
+from uoarm.model import Endpoint, Health, Message, array_as_lists, plain_copy
+from uoarm_rosbridge.client._channels import Report
 from uoarm_rosbridge.client._connection import Fields, ServerConnection
 from uoarm_rosbridge.client._types import RosType, reader, writer
 
@@ -29,6 +29,7 @@ class ServedTypes:
     """
 
     def __init__(self, kinds: tuple[RosType, RosType] | None) -> None:
+        plain: Callable[[Any], Any] = partial(plain_copy, leaf=array_as_lists)
         self.read: Callable[[Any], Message] = plain if kinds is None else reader(kinds[0])
         self.write: Callable[[Message], Any] = plain if kinds is None else writer(kinds[1])
 
