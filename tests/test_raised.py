@@ -20,6 +20,7 @@ from uoarm._interrupts import Uninterrupted
 from uoarm._raised import (
     ContainedError,
     LimitedLog,
+    Log,
     foreign,
     is_raised,
     on_failure,
@@ -290,6 +291,27 @@ def test_what_foreign_code_raises_is_written_within_bounds() -> None:
         if unbounded.search(path.read_text(encoding="utf-8"))
     ]
     assert not found
+
+
+@pytest.mark.parametrize("raised", [ArithmeticError(), SystemExit()], ids=repr)
+def test_a_log_raises_nothing(raised: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken(logging.Handler):
+        def emit(self, _: logging.LogRecord) -> None:
+            raise raised
+
+    log = Log("uoarm.test")
+    monkeypatch.setattr(log.logger, "handlers", [Broken()])
+    log.warning("%s", "text")
+    log.log(logging.ERROR, "%s %s", "text", "another")
+
+
+def test_every_record_is_written_by_what_raises_nothing() -> None:
+    """A handler that raises would keep what comes after a record from being done."""
+    bare = re.compile(r"_log = logging\.getLogger\((?s:.*)_log\.(debug|info|warning|error|log)\(")
+    root = Path(__file__).parents[1]
+    paths = [*root.glob("src/**/*.py"), *root.glob("plugins/*/src/**/*.py")]
+    assert len(paths) > 100
+    assert not [path.name for path in paths if bare.search(path.read_text(encoding="utf-8"))]
 
 
 @pytest.mark.parametrize("raised", [ValueError("no"), KeyboardInterrupt()], ids=repr)

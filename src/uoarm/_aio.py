@@ -21,7 +21,7 @@ from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
 from uoarm._forks import generation
 from uoarm._hints.applications import T
-from uoarm._raised import LimitedLog, foreign, name_of
+from uoarm._raised import LimitedLog, Log, foreign, name_of
 from uoarm._renewal import HeldCommand
 from uoarm._support.aio_deadlines import event_by
 from uoarm._support.workers import WorkerExecutor
@@ -46,7 +46,7 @@ Result = TypeVar("Result")
 Threaded_co = TypeVar("Threaded_co", covariant=True)
 P = ParamSpec("P")
 _AT_ONCE = 32
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 
 class _AsyncProxy(Generic[Threaded_co]):

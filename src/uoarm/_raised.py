@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partialmethod
 from types import BuiltinFunctionType, FrameType, FunctionType, MethodType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
@@ -231,6 +232,34 @@ class on_failure:  # noqa: N801 - read as a block's beginning, as those of conte
             LimitedLog("uoarm").write(logging.ERROR, text, raised)
 
 
+class Log:
+    """Writes records to the logger of a name. It raises nothing: what comes after a record is done.
+
+    Handlers are the application's, or a component's, and may raise anything.
+
+    Args:
+        name: of the logger.
+
+    Attributes:
+        logger: it.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.logger = logging.getLogger(name)
+
+    def log(
+        self, level: int, text: str, *values: object, exc_info: BaseException | None = None
+    ) -> None:
+        """Write a record, with the traceback of an exception."""
+        with suppress(Exception):
+            foreign(self.logger.log, level, text, *values, exc_info=exc_info)
+
+    debug = partialmethod(log, logging.DEBUG)
+    info = partialmethod(log, logging.INFO)
+    warning = partialmethod(log, logging.WARNING)
+    error = partialmethod(log, logging.ERROR)
+
+
 class LimitedLog:
     """Writes the first of many like records, and then as many in ten seconds. Thread safe.
 
@@ -251,7 +280,7 @@ class LimitedLog:
 
     def __init__(
         self,
-        logger: logging.Logger | str,
+        logger: logging.Logger | Log | str,
         burst: int = 1,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 
+from uoarm._raised import Log
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import Message
 
-_log = logging.getLogger("uoarm.commands")
+_log = Log("uoarm.commands")
 _SHARE = 0.25  # of the lifetime: three renewals may come late before it is over
 _PERIOD = 0.1
 _LAST_SECONDS = 1.0

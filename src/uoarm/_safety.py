@@ -8,7 +8,6 @@ wraps it for the threads that send.
 from __future__ import annotations
 
 import itertools
-import logging
 import os
 import threading
 import time
@@ -21,7 +20,7 @@ from typing import TypeAlias, TypeVar
 from attrs import evolve
 
 from uoarm._dataplane import Clock
-from uoarm._raised import foreign, text_of
+from uoarm._raised import Log, foreign, text_of
 from uoarm._support.files import write_whole
 from uoarm.bridge import Bridge, Sink, boot_seconds
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
@@ -83,7 +82,7 @@ class StopFile:
 
 
 T = TypeVar("T")
-_log = logging.getLogger("uoarm.commands")
+_log = Log("uoarm.commands")
 _OPENING_SECONDS = 2.0
 _SHARE = 0.8  # of the time, for the answer of an input; the rest is for what it says to get here
 

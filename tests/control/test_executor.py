@@ -127,6 +127,25 @@ def test_an_event_is_handled_though_a_handler_of_the_log_raises(
     stage.robot.request("camera").kill()
 
 
+def test_a_handler_of_the_log_may_wait_for_the_manager(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    ended = threading.Event()
+
+    class Waiting(logging.Handler):
+        def emit(self, _: logging.LogRecord) -> None:
+            if not ended.is_set():
+                connection.kill()
+                ended.set()
+
+    connection = stage.robot.request("camera")
+    monkeypatch.setattr(logging.getLogger("uoarm.control"), "handlers", [Waiting()])
+    caplog.set_level(logging.DEBUG, "uoarm.control")
+    stage.robot.request("camera").kill()
+    assert ended.wait(patience())
+    assert connection.ended
+
+
 def test_what_comes_while_a_change_of_candidates_fails_is_handled(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:

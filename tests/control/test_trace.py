@@ -66,9 +66,13 @@ class Steps:
         """Return the actions of each step with the line that was logged before it."""
         # In this order: a plan may have run out after its manager was closed, in a thread.
         done = tuple(self._done)
-        lines = [record.getMessage() for record in caplog.records if record.name == "uoarm.control"]
-        assert len(lines) >= len(done)
-        return list(zip(lines, done, strict=False))
+
+        def lines() -> list[str]:
+            records = tuple(caplog.records)
+            return [record.getMessage() for record in records if record.name == "uoarm.control"]
+
+        wait(lambda: len(lines()) >= len(done))
+        return list(zip(lines(), done, strict=False))
 
 
 @pytest.fixture

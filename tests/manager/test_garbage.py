@@ -7,7 +7,6 @@ cycles behind makes the slowest requests slower.
 from __future__ import annotations
 
 import gc
-import logging
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +16,11 @@ from tests.manager import stage
 from tests.processes import run_python
 
 from uoarm import RobotManager
+from uoarm._control.engine.actions import Action
+from uoarm._control.engine.events import Event
+from uoarm._control.engine.state import State
+from uoarm._control.engine.step import step
+from uoarm._control.live import driver
 from uoarm.testing import patience, wait
 
 CHAIN = """
@@ -90,7 +94,6 @@ def test_a_connection_that_was_killed_leaves_nothing_to_the_collector(
 @pytest.mark.usefixtures("uncollected")
 def test_a_finalizer_may_end_a_connection_wherever_it_runs(
     make_robot: Callable[[str], RobotManager],
-    caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     robot = make_robot(CHAIN)
@@ -102,13 +105,12 @@ def test_a_finalizer_may_end_a_connection_wherever_it_runs(
         def __del__(self) -> None:
             self.connection.kill()
 
-    class Collecting(logging.Handler):
-        def emit(self, _: logging.LogRecord) -> None:
-            gc.collect()
+    def collected(state: State, event: Event, now: float) -> tuple[State, tuple[Action, ...]]:
+        gc.collect()
+        return step(state, event, now)
 
     connection = Owner().connection
-    monkeypatch.setattr(logging.getLogger("uoarm.control"), "handlers", [Collecting()])
-    caplog.set_level(logging.DEBUG, "uoarm.control")  # each event is recorded as it is handled
+    monkeypatch.setattr(driver, "step", collected)
     robot.request("source").kill()
     wait(lambda: connection.ended)
 

@@ -5,7 +5,6 @@ A bridge that died is started again at once, then later and later, and at last n
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -18,7 +17,7 @@ from uoarm._backoff import Backoff
 from uoarm._bridges._machines import Joining, Machines
 from uoarm._dataplane import Clock
 from uoarm._origin import install_command
-from uoarm._raised import foreign, text_of
+from uoarm._raised import Log, foreign, text_of
 from uoarm._support import deadlines
 from uoarm.bridge import Bridge, Channel, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, PluginError
@@ -136,7 +135,7 @@ def start_hosted(
         raise
 
 
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 _START_SECONDS = 30.0
 _RETIRE_SECONDS = 10.0
 _FINE = Health.OK, ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 from attrs import define, field, frozen
 
 from uoarm._origin import install_command
+from uoarm._raised import Log
 from uoarm.bridge import HealthEvent
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Listening, MachineStatus
@@ -17,7 +17,7 @@ from uoarm.model import BridgeSpec, Health, Listening, MachineStatus
 if TYPE_CHECKING:
     from uoarm._host.machines import MachineRegistry
 
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 _LET_GO_SECONDS = 10.0
 
 

@@ -12,7 +12,7 @@ from uoarm._control.live.driver import Driver
 from uoarm._control.live.revisions import Revisions
 from uoarm._dataplane import Clock
 from uoarm._interrupts import wait_until
-from uoarm._raised import LimitedLog
+from uoarm._raised import LimitedLog, Log
 from uoarm._resolve import (
     Discovery,
     DiscoveryRounds,
@@ -30,7 +30,7 @@ _ASK_SECONDS = 5.0
 _GRACE_SECONDS = 1.0
 _TURN_SECONDS = 1.0
 _KEPT_ANSWERS = 3
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 
 class CandidateWatch:

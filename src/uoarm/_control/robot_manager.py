@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import logging
 import secrets
 import threading
 import time
@@ -30,6 +29,7 @@ from uoarm._hints.applications import MessageType, T
 from uoarm._interrupts import Uninterrupted, put_off
 from uoarm._mistakes import choose
 from uoarm._parts import StalenessWatch
+from uoarm._raised import Log
 from uoarm._resolve import Discovery
 from uoarm._safety import EmergencyStop, StopFile
 from uoarm._support import deadlines
@@ -49,7 +49,7 @@ from uoarm.model import (
     ValidationMode,
 )
 
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 _INBOX = QueuePolicy(length=64)
 _ENDED_RECORDINGS = 32
 """That are kept, to be looked at."""

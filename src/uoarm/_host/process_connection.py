@@ -28,7 +28,7 @@ from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply
 from uoarm._log_lines import HOST_LINE, read_host_line
-from uoarm._raised import on_failure
+from uoarm._raised import Log, on_failure
 from uoarm._support.process_tuning import KEEPING
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.environments import find_interpreter, passed_on
@@ -68,7 +68,7 @@ class HostProcess:
         self._variables = variables
         self._exited = exited
         self._passed = tuple(passed)
-        self._log = logging.getLogger(f"uoarm.host.{name}")
+        self._log = Log(f"uoarm.host.{name}")
         self._last: deque[str] = deque(maxlen=5)
         self._gone = threading.Event()
         self._signalling = threading.Lock()
@@ -99,7 +99,7 @@ class HostProcess:
     @property
     def log_level(self) -> int:
         """The level from which on it prints records: what its logger writes, and of note anyway."""
-        return min(self._log.getEffectiveLevel(), logging.INFO)
+        return min(self._log.logger.getEffectiveLevel(), logging.INFO)
 
     def send_orders(self, orders: Mapping[str, object]) -> None:
         """Write one line of JSON to the process, which keeps its stdin to see us die."""
@@ -311,7 +311,7 @@ class HostSettings:
         return left
 
 
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 _POLITE_SECONDS = 1.5
 _STOP_SECONDS = 1.5  # more than a host takes for that
 _KILLED_SECONDS = 5.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import re
 import socket
@@ -18,7 +17,7 @@ from xml.parsers.expat import ExpatError, ParserCreate
 from xmlrpc.client import Fault, dumps
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
-from uoarm._raised import text_of
+from uoarm._raised import Log, text_of
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, ListenError
 from uoarm.model import Endpoint, to_json, write_json
@@ -31,7 +30,7 @@ _CONNECTION_SECONDS = 30.0
 _CONNECTIONS = 32
 _PAUSE_SECONDS = 0.1
 _DIGITS = re.compile("[0-9]{1,9}")
-_log = logging.getLogger("uoarm.host")
+_log = Log("uoarm.host")
 
 
 class XmlRpcServer:

@@ -5,7 +5,6 @@ The structures are those that the files of a folder define: JSON Schemas, and wh
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
@@ -29,6 +28,7 @@ from uoarm._lock._record import (
 from uoarm._meaning import name_of_type
 from uoarm._origin import install_command
 from uoarm._plugins import cause_of, values_of
+from uoarm._raised import Log
 from uoarm._resolve import Structures, Unavailable
 from uoarm.errors import ConfigurationError, PluginError, ResolutionError
 from uoarm.model import Component, LockDifference, LockMode, MessageStructure, Robot
@@ -37,7 +37,7 @@ from uoarm.schema import SchemaError, newest
 
 _UNDECIDED = "it cannot be decided"
 Find = Callable[[Port, MessageStructure], "MessageStructure | None"]
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 
 class LockOutcome(Enum):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from attrs import define, field, frozen
 
 from uoarm._dataplane import Clock, Inbox, Outlet, Route, make_check
 from uoarm._parts._component import LiveComponent
-from uoarm._raised import text_of
+from uoarm._raised import Log, text_of
 from uoarm.bridge import boot_seconds
 from uoarm.errors import (
     BridgeError,
@@ -31,7 +30,7 @@ from uoarm.model import (
     ValidationMode,
 )
 
-_log = logging.getLogger("uoarm.commands")
+_log = Log("uoarm.commands")
 _LAST_SECONDS = 0.5
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -23,7 +22,7 @@ from uoarm._dataplane import (
     Route,
     make_check,
 )
-from uoarm._raised import foreign, text_of
+from uoarm._raised import Log, foreign, text_of
 from uoarm._safety import EmergencyStop, InputLease
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError, UoarmError
@@ -42,7 +41,7 @@ from uoarm.model import (
     ValidationMode,
 )
 
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 _BUSY_SECONDS = 60.0
 _OPEN_SECONDS = 60.0
 _CLOSE_SECONDS = 2.0

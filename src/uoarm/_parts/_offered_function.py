@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -11,7 +10,7 @@ from typing import Any, Protocol
 
 from uoarm._adapt import check_edge, transfer
 from uoarm._dataplane import Clock, Outlet, Route
-from uoarm._raised import on_failure
+from uoarm._raised import Log, on_failure
 from uoarm.bridge import Bridge, Channel, ServiceStructures
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import (
@@ -34,7 +33,7 @@ _CLOSE_SECONDS = 2.0
 _KEPT_PROOFS = 16
 _GOAL, _STATUS = "goal", "status"
 _GOAL_ENDS = frozenset({"succeeded", "canceled", "aborted", "lost"})
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 Transfer = Callable[[Message], Message]
 

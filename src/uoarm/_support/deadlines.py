@@ -22,13 +22,13 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from uoarm._interrupts import Uninterrupted
-from uoarm._raised import contained, foreign, text_of
+from uoarm._raised import Log, contained, foreign, text_of
 from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 T = TypeVar("T")
 
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 _GLANCE_SECONDS = 0.05
 _HANGING_EACH = 16
 _HANGING_IN_ALL = 256

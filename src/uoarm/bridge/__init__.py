@@ -6,7 +6,7 @@ from uoarm._forks import at_exit, close_in_children
 from uoarm._interrupts import wait_step
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
-from uoarm._raised import LimitedLog, foreign, on_failure, text_of
+from uoarm._raised import LimitedLog, Log, foreign, on_failure, text_of
 from uoarm._spelling import did_you_mean
 from uoarm._support.workers import WorkerExecutor
 from uoarm.bridge._border import Delivery, reading_endpoint
@@ -74,6 +74,7 @@ __all__ = [
     "HealthEvent",
     "HealthReason",
     "LimitedLog",
+    "Log",
     "Outcomes",
     "PeerOptions",
     "PluginProblem",

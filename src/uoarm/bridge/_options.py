@@ -13,7 +13,6 @@ Schema, since the type checker then knows what the bridge reads; the schema foll
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -25,7 +24,7 @@ import attrs
 from typing_extensions import Self
 
 from uoarm._mistakes import Mistake, schema_mistakes
-from uoarm._raised import text_of
+from uoarm._raised import Log, text_of
 from uoarm._spelling import Speller
 from uoarm._support.yaml import write_path
 from uoarm.bridge._border import reading_endpoint
@@ -35,7 +34,7 @@ from uoarm.model import Endpoint, Options, Schema
 if TYPE_CHECKING:
     import ssl
 
-_log = logging.getLogger("uoarm.bridge")
+_log = Log("uoarm.bridge")
 
 _OPTION = "uoarm option"
 T = TypeVar("T")

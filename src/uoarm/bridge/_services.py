@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections import deque
@@ -12,7 +11,7 @@ from typing import Generic, TypeVar
 
 from attrs import define
 
-from uoarm._raised import foreign, text_of
+from uoarm._raised import Log, foreign, text_of
 from uoarm._support import deadlines
 from uoarm.bridge._health import ChannelHealth, ChannelMonitor
 from uoarm.errors import BridgeError, FailureReason
@@ -155,7 +154,7 @@ class CallsUnderWay:
 
 
 T = TypeVar("T")
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 
 class ServedRequests(Generic[T]):

@@ -22,7 +22,7 @@ from attrs import frozen
 
 from uoarm._backoff import Backoff
 from uoarm._forks import at_exit, generation
-from uoarm._raised import LimitedLog, foreign, text_of
+from uoarm._raised import LimitedLog, Log, foreign, text_of
 from uoarm.errors import CommandRefusedError
 from uoarm.model import CommandPhase, CommandPolicy, CommandStatus, FieldLimit, Message
 
@@ -234,7 +234,7 @@ def _beyond(limit: FieldLimit, value: float | None, before: float | None, elapse
     return ""
 
 
-_log = logging.getLogger("uoarm.commands")
+_log = Log("uoarm.commands")
 _LONGEST_SECONDS = 3600.0
 _LAST_SECONDS = 0.5
 _BEGIN_SECONDS = 5.0  # for a thread to get the processor; a machine that needs longer stands still

@@ -17,7 +17,7 @@ from typing_extensions import Self
 
 from uoarm._encodable import encodable
 from uoarm._interrupts import put_off, wait_for
-from uoarm._raised import LimitedLog, contained, on_failure, sentence_of, text_of
+from uoarm._raised import LimitedLog, Log, contained, on_failure, sentence_of, text_of
 from uoarm.errors import UoarmError, UsageError
 from uoarm.model import Gap, Message, StatusEvent
 from uoarm.record._arrivals import (
@@ -46,7 +46,7 @@ from uoarm.record._options import (
     RecordOptions,
 )
 
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 _CLOSE_SECONDS = 60.0
 _GLANCE_SECONDS = 1.0
 _TURN_MESSAGES = 1024

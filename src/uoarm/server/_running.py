@@ -25,7 +25,7 @@ from uoarm._arguments import arguments
 from uoarm._control import RobotManager
 from uoarm._forks import at_exit, default_in_children
 from uoarm._interrupts import Uninterrupted, handlers_kept
-from uoarm._raised import ContainedError, LimitedLog, foreign
+from uoarm._raised import ContainedError, LimitedLog, Log, foreign
 from uoarm._support.aio_deadlines import result_within
 from uoarm._support.process_tuning import keep_memory, short_switch_interval
 from uoarm._support.workers import WorkerExecutor
@@ -100,7 +100,7 @@ _START_SECONDS = 10.0
 _END_SECONDS = 10.0
 _WAITING = 32  # threads for what the loop waits for, such as the names of machines
 _LATE = "the server does not listen: its start takes too long"
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 _YOUNG_OBJECTS, _YOUNG_LOOKS, _OLDEST, _LOOKS = 20_000, 1, 2, 10
 # CPython 3.12 begins with some 400 frozen objects; who freezes has thousands.
 _FROZEN_BY_PYTHON = 1_000

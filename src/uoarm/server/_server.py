@@ -15,7 +15,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import CloseCode
 
 from uoarm._control import RobotManager
-from uoarm._raised import LimitedLog, foreign
+from uoarm._raised import LimitedLog, Log, foreign
 from uoarm._support.process_tuning import give_memory_back
 from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError, ListenError, UsageError
@@ -49,7 +49,7 @@ from uoarm.server.session import (
 )
 from uoarm.server.streams import FeedRegistry, Shares
 
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 _GLANCE_SECONDS = 0.5
 _IN_ONE_TURN = 100
 T = TypeVar("T")

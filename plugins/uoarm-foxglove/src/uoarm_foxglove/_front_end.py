@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import logging
 import time
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from uoarm import __version__
+from uoarm.bridge import Log
 from uoarm.errors import ControlMessageError, UoarmError
 from uoarm.model import BudgetUse, message_octets
 from uoarm.server.front_end import (
@@ -58,7 +58,7 @@ from uoarm_foxglove._protocol import (
 
 T = TypeVar("T")
 Fields = Mapping[str, Any]
-_log = logging.getLogger("uoarm.foxglove")
+_log = Log("uoarm.foxglove")
 _LOOK_SECONDS = 1.0
 _CAPABILITIES = [
     "clientPublish",

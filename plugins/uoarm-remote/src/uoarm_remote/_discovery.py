@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from uoarm.bridge import MOST_HOPS, Description, Discovered, text_of
+from uoarm.bridge import MOST_HOPS, Description, Discovered, Log, text_of
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, MessageStructure, Role, Schema, message_octets
 from uoarm_remote._link import ManagerLink
 
 _MOST_OCTETS = 4_194_304
 _MOST_IDENTITY = 64
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 _MOST = 200
 """Functions that are looked at when one discovers: each costs a question."""
 

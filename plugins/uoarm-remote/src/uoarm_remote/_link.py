@@ -24,6 +24,7 @@ from uoarm.bridge import (
     Backoff,
     Disconnection,
     LimitedLog,
+    Log,
     WorkerExecutor,
     asking_managers,
     redirection,
@@ -50,7 +51,7 @@ from uoarm.errors import (
 from uoarm.model import Health
 from uoarm_remote._options import ManagerOptions
 
-_log = logging.getLogger("uoarm.remote")
+_log = Log("uoarm.remote")
 
 T = TypeVar("T")
 _BACKOFF = Backoff(first=0.1, most=5.0, jitter=0.5)

@@ -5,7 +5,6 @@ What a lifecycle node is asked next is decided without asking it, by `Lifecycle`
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +14,7 @@ from typing import Any, TypeVar
 
 from attrs import define, evolve, field, frozen
 
-from uoarm.bridge import Channel, on_failure, reading_endpoint
+from uoarm.bridge import Channel, Log, on_failure, reading_endpoint
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
 from uoarm_ros2._discovery import Ros2Graph
@@ -137,7 +136,7 @@ _ASK_SECONDS = 5.0
 _CHANGE_SECONDS = 60.0
 _GLANCE_SECONDS = 0.02
 _PRIMARY = ("unconfigured", "inactive", "active", "finalized")
-_log = logging.getLogger("uoarm.ros2")
+_log = Log("uoarm.ros2")
 
 
 @frozen

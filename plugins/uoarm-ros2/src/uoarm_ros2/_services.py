@@ -7,7 +7,6 @@ does not say so: `ServerComparison` compares them.
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from abc import abstractmethod
@@ -17,7 +16,7 @@ from typing import Any, Generic, TypeVar
 
 from attrs import define, field, frozen
 
-from uoarm.bridge import Channel, Handler, ServedRequests, text_of
+from uoarm.bridge import Channel, Handler, Log, ServedRequests, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
 from uoarm_ros2._conversion import fitting, reader, writer
@@ -101,7 +100,7 @@ def _otherwise(server: Peer, own: Peer | None) -> str:
 
 _FIRST_GLANCE_SECONDS = 0.005
 _GLANCE_SECONDS = 0.25
-_log = logging.getLogger("uoarm.ros2")
+_log = Log("uoarm.ros2")
 
 
 def answered(future: Any, deadline: float, there: Callable[[], bool], what: str) -> Any:

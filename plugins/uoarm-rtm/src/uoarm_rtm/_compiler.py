@@ -12,7 +12,6 @@ import hashlib
 import importlib
 import importlib.metadata
 import json
-import logging
 import os
 import re
 import shutil
@@ -27,10 +26,11 @@ from types import ModuleType
 
 from attrs import field, frozen
 
+from uoarm.bridge import Log
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UsageError
 from uoarm.plugins import UnreadableFileError, expanded, read_octets, user_folder
 
-_log = logging.getLogger("uoarm.rtm")
+_log = Log("uoarm.rtm")
 OUR_IDL = Path(__file__).parent / "idl"
 
 _LIMIT_SECONDS = 20.0

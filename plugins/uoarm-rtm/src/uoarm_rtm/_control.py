@@ -9,7 +9,6 @@ name. OpenRTM's tools keep to them; the components themselves do not.
 
 from __future__ import annotations
 
-import logging
 import operator
 import re
 import threading
@@ -20,7 +19,7 @@ from typing import Any
 from _uoarm_rtm_stubs import RTC, SDOPackage
 from attrs import define, field, frozen
 
-from uoarm.bridge import Channel, Description
+from uoarm.bridge import Channel, Description, Log
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm_rtm._options import CONFIGURATION, LIFECYCLE, RtmEndpointOptions
@@ -224,7 +223,7 @@ def _test(constraint: str) -> Callable[[float], bool] | None:
     return lambda x: _COMPARE[before](float(left), x)
 
 
-_log = logging.getLogger("uoarm.rtm")
+_log = Log("uoarm.rtm")
 
 
 def configure(peer: PeerComponent, message: Message, seconds: float) -> Message:

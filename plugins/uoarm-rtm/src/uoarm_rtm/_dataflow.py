@@ -10,7 +10,6 @@ message, never of the component.
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -19,6 +18,7 @@ from typing import Any
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
 from omniORB import CORBA
 
+from uoarm.bridge import Log
 from uoarm_rtm._options import BufferPolicy, PushPolicy
 from uoarm_rtm._orb import CallGuard, calls
 
@@ -177,7 +177,7 @@ class Buffer:
         return self._closed or bool(self._waiting)
 
 
-_log = logging.getLogger("uoarm.rtm")
+_log = Log("uoarm.rtm")
 
 
 class Pusher:

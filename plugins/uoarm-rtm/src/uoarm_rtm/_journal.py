@@ -15,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
-import logging
 import os
 import secrets
 import shutil
@@ -30,7 +29,7 @@ from _uoarm_rtm_stubs import RTC, SDOPackage
 from attrs import frozen
 from omniORB import CORBA
 
-from uoarm.bridge import WorkerExecutor, at_exit
+from uoarm.bridge import Log, WorkerExecutor, at_exit
 from uoarm.errors import BridgeError, UsageError
 from uoarm.plugins import user_folder
 from uoarm_rtm._orb import Orb, calls, limit
@@ -39,7 +38,7 @@ _MOST_OCTETS = 1 << 16
 _MOST_ENTRIES = 10_000
 _LOCK = "lock"
 
-_log = logging.getLogger("uoarm.rtm")
+_log = Log("uoarm.rtm")
 
 
 @frozen

@@ -12,7 +12,6 @@ Python 1.2 continues them when the observer has been removed; the check asks, wh
 from __future__ import annotations
 
 import contextlib
-import logging
 import threading
 import time
 import uuid
@@ -22,7 +21,7 @@ from typing import Any
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA, SDOPackage
 from omniORB import CORBA
 
-from uoarm.bridge import WorkerExecutor
+from uoarm.bridge import Log, WorkerExecutor
 from uoarm.errors import BridgeError
 from uoarm_rtm._health import WatchedComponent
 from uoarm_rtm._journal import NAME, PROCESS, JournalEntry, end_observer, journal
@@ -32,7 +31,7 @@ from uoarm_rtm._watch import Check
 
 _AT_ONCE = 8
 
-_log = logging.getLogger("uoarm.rtm")
+_log = Log("uoarm.rtm")
 
 
 class _Observer(OpenRTM__POA.ComponentObserver):  # type: ignore[misc]  # generated

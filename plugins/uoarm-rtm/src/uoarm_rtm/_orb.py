@@ -9,7 +9,6 @@ observed with 4.3.3), and when a thread comes back from a call while the interpr
 
 from __future__ import annotations
 
-import logging
 import os
 import shutil
 import socket
@@ -27,7 +26,7 @@ import omniORB
 from attrs import frozen
 from omniORB import CORBA
 
-from uoarm.bridge import at_exit, close_in_children, on_failure
+from uoarm.bridge import Log, at_exit, close_in_children, on_failure
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._compiler import omniorb_programs
 
@@ -155,7 +154,7 @@ _DESTROY_SECONDS = 5.0
 _WORKERS_SECONDS = 1.0
 _LOOK_SECONDS = 0.001
 
-_log = logging.getLogger("uoarm.rtm")
+_log = Log("uoarm.rtm")
 
 
 class _OrbShutdown:

@@ -10,7 +10,6 @@ cannot be had are the return codes that they give.
 
 from __future__ import annotations
 
-import logging
 import threading
 import uuid
 from collections.abc import Mapping
@@ -21,7 +20,7 @@ from _uoarm_rtm_stubs import RTC, RTC__POA
 from attrs import frozen
 from omniORB import CORBA
 
-from uoarm.bridge import text_of
+from uoarm.bridge import Log, text_of
 from uoarm.cdr import ByteOrder
 from uoarm_rtm._options import BufferPolicy, PushPolicy, buffer_policy, push_policy
 from uoarm_rtm._orb import Orb, calls, limit
@@ -125,7 +124,7 @@ def _order(text: str) -> ByteOrder:
     raise ConnectorRefusal(f"byte order {text!r} is neither little nor big", RTC.UNSUPPORTED)
 
 
-_log = logging.getLogger("uoarm.rtm")
+_log = Log("uoarm.rtm")
 
 
 class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, without annotations

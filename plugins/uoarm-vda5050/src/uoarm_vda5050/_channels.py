@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import threading
 import time
@@ -18,6 +17,7 @@ from uoarm.bridge import (
     ChannelHealth,
     ChannelReport,
     Delivery,
+    Log,
     ReceiveQueue,
     Sink,
     Source,
@@ -31,7 +31,7 @@ from uoarm_vda5050._transport_state import Action, Feedback, GoalEnded, Send, St
 
 _MOST_STATES = 1000
 
-_log = logging.getLogger("uoarm.vda5050")
+_log = Log("uoarm.vda5050")
 
 
 @frozen

@@ -24,11 +24,10 @@ from functools import partial
 from uoarm._bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
-from uoarm._control.engine.events import write_event
 from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.engine.step import step
 from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDelivery, record_takeover
-from uoarm._control.live.listeners import EventDispatcher
+from uoarm._control.live.listeners import EventDispatcher, EventLog
 from uoarm._control.live.offers import Offers
 from uoarm._control.live.parts import LiveParts, OpenedParts
 from uoarm._control.live.revisions import Revisions, StagedRevision
@@ -56,7 +55,6 @@ _OPEN_SECONDS = 60.0
 _FIRST_SHARE = 0.5
 _AGAIN_SECONDS = 0.5
 _log = logging.getLogger("uoarm")
-_log_of_events = logging.getLogger("uoarm.control")
 
 
 class Driver:
@@ -106,6 +104,7 @@ class Driver:
         # interpreter; but those that a bridge holds up must hold up no others.
         self._workers = WorkerPool("uoarm-lane", _LANES, patience=_PATIENCE_SECONDS)
         self._lanes = Lanes(self._start)
+        self._event_log = EventLog(self._lanes)
         # Lanes for which there was no thread; appended by any thread, taken by the timer's.
         self._unstarted: deque[Job] = deque()
         self.timer = Timer(clock, self._reach_time)
@@ -311,6 +310,7 @@ class Driver:
     def close(self) -> None:
         """End every connection, and take no more requests or times that are reached."""
         self._ask(ev.Stopped(f"close {next(self._numbers)}"))
+        self._event_log.close()
         self.timer.close()
         # What lanes still have to close is closed; later ones get threads of their own (`_start`).
         self._workers.close(drop=False)
@@ -329,9 +329,7 @@ class Driver:
         # Before the step: an event at which it fails is the one that a test must play again
         # (`tests/control/test_trace.py`).
         now = self._clock()
-        if _log_of_events.isEnabledFor(logging.DEBUG):
-            with suppress(Exception):  # of a handler of the log; the event is handled all the same
-                _log_of_events.debug("%s", write_event(event, now))
+        self._event_log.write(event, now)
         try:
             state, actions = step(self.state, event, now)
         except Exception as error:  # noqa: BLE001 - its caller must not pay for a fault of ours

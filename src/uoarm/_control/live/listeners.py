@@ -5,17 +5,22 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from queue import SimpleQueue
 
+from uoarm._control.engine.events import Event, write_event
 from uoarm._dataplane import Clock
-from uoarm._raised import LimitedLog, foreign, name_of
+from uoarm._raised import LimitedLog, Log, foreign, name_of
 from uoarm._support.ordered import keep_newest
+from uoarm._support.workers import Lanes
 from uoarm.model import StatusEvent
 
 _CLOSE_SECONDS = 2.0
 _RECORDED = frozenset({"lost", "failed", "replaced"})
 _BURST = 20
-_log = logging.getLogger("uoarm")
+_LANE = "log of events"
+_log, _log_of_events = Log("uoarm"), Log("uoarm.control")
 
 
 class EventDispatcher:
@@ -131,6 +136,30 @@ class EventDispatcher:
             except Exception as error:  # noqa: BLE001 - a listener may raise anything
                 text = f"listener {name_of(listener)} failed at event {event.number}"
                 self._failures.write(logging.ERROR, text, error)
+
+
+class EventLog:
+    """Writes events of the control plane to the logger `uoarm.control`, at debug level.
+
+    In a lane: a handler is foreign, and may wait for the thread that handles events.
+    """
+
+    def __init__(self, lanes: Lanes) -> None:
+        self._lanes = lanes
+
+    def write(self, event: Event, now: float) -> None:
+        """Have an event written behind those before it. Waits for nothing, and raises nothing."""
+        if _log_of_events.logger.isEnabledFor(logging.DEBUG):
+            with suppress(Exception):  # of what the event carries
+                text = write_event(event, now)
+                self._lanes.put(_LANE, partial(_log_of_events.debug, "%s", text))
+
+    def close(self) -> None:
+        """Wait until all is written, two seconds at most."""
+        if _log_of_events.logger.isEnabledFor(logging.DEBUG):
+            is_written = threading.Event()
+            self._lanes.put(_LANE, is_written.set)
+            is_written.wait(_CLOSE_SECONDS)
 
 
 def _without(

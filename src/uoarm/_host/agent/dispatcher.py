@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Hashable, Mapping
 from functools import lru_cache
@@ -15,13 +14,14 @@ from uoarm._host.transport.codec import pack, unpack
 from uoarm._host.transport.flow import FlowEnding
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.transport import ANSWER_SECONDS, Reply, RequestWorkers, Transport
+from uoarm._raised import Log
 from uoarm._support.workers import WorkerPool
 from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent, ServiceStructures
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json
 
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 Request = Mapping[str, Any]
 T = TypeVar("T")

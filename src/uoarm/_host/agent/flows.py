@@ -15,13 +15,13 @@ from uoarm._host.transport.codec import pack
 from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
 from uoarm._host.transport.transport import Transport
-from uoarm._raised import LimitedLog, contained, foreign, is_raised, on_failure, text_of
+from uoarm._raised import LimitedLog, Log, contained, foreign, is_raised, on_failure, text_of
 from uoarm.bridge import Channel, Sink, Source, message_check
 from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Message, MessageStructure, to_json
 
 _PATIENCE_SECONDS = 1.0
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 
 class OutboundFlow:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import threading
 import time
@@ -17,7 +16,7 @@ from uoarm._host.agent.dispatcher import RequestDispatcher
 from uoarm._host.transport import keys
 from uoarm._host.transport.transport import Reply, RequestWorkers
 from uoarm._host.transport.zenoh_transport import Identity, ZenohTransport
-from uoarm._raised import on_failure
+from uoarm._raised import Log, on_failure
 from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Registry
 from uoarm.errors import BridgeError, FailureReason, UoarmError
@@ -26,7 +25,7 @@ from uoarm.model import BridgeSpec
 _TRY_SECONDS = 2.0
 _AGAIN_SECONDS = 0.3
 _UNASKED_SECONDS = 5.0  # several times as long as a manager takes to ask; half of `start`
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 Orders = Mapping[str, Any]
 _CLOSE_SECONDS = 5.0

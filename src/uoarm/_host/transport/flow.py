@@ -20,7 +20,7 @@ from attrs import astuple, frozen
 from uoarm._host.transport.codec import Frame, pack, unpack
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter
 from uoarm._host.transport.transport import Transport
-from uoarm._raised import LimitedLog, foreign, is_raised, text_of
+from uoarm._raised import LimitedLog, Log, foreign, is_raised, text_of
 from uoarm.bridge import Outcomes
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, MessageError
 from uoarm.model import Message
@@ -40,7 +40,7 @@ _CONFIRM_SECONDS = 0.2
 _TRY_SECONDS = 0.2
 _GLANCE_SECONDS = 0.005
 _ERROR_LENGTH = 1000
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 
 @frozen

@@ -17,7 +17,7 @@ from queue import Empty, SimpleQueue
 
 from uoarm._host.transport.codec import Frame
 from uoarm._host.transport.frames import FrameReader, FrameWriter, Received
-from uoarm._raised import LimitedLog, foreign, on_failure
+from uoarm._raised import LimitedLog, Log, foreign, on_failure
 from uoarm.errors import BridgeTimeoutError
 
 Take = Callable[[Frame, bytes], object]
@@ -34,7 +34,7 @@ _STUCK_SECONDS = 0.02
 _LOOK_SECONDS = 0.02
 _IDLE_LOOKS = 50  # then it sleeps until there is something to look at
 _JOIN_SECONDS = 2.0
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 
 class FlowSubscription:

@@ -28,14 +28,14 @@ from uoarm._host.transport.transport import (
     answer_to,
     read_answer,
 )
-from uoarm._raised import LimitedLog, on_failure
+from uoarm._raised import LimitedLog, Log, on_failure
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
 _ASK, _ANSWER, _NOTIFY, _TOKEN = range(4)
 _FULL_SECONDS = 0.2
 _MUST_ARRIVE_SECONDS = 5.0
 _JOIN_SECONDS = 2.0
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 
 
 @final

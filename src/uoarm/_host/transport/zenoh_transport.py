@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import json
-import logging
 import os
 import re
 import threading
@@ -34,6 +33,7 @@ from uoarm._host.transport.transport import (
     answer_to,
     read_answer,
 )
+from uoarm._raised import Log
 from uoarm._support.files import expanded
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
@@ -58,7 +58,7 @@ _PLACE_IN_ZENOH = re.compile(r" at /\S+\.rs:\d+")  # of the machine that built i
 _BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
 # Of requests, their answers, and notices: before all messages that wait for a link that is full.
 _AHEAD = zenoh.Priority.INTERACTIVE_HIGH
-_log = logging.getLogger("uoarm")
+_log = Log("uoarm")
 NO_MORE: Mapping[str, object] = MappingProxyType({})
 _FULL_SECONDS = 0.2
 _RETRY_MILLISECONDS = 200

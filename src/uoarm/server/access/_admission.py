@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import logging
 import re
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Mapping
@@ -17,6 +16,7 @@ from attrs import define, evolve, frozen
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
+from uoarm._raised import Log
 from uoarm._support.files import stamp_of
 from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import is_loopback
@@ -196,7 +196,7 @@ def _token(authorization: str, headers: Headers, shown: list[str]) -> str:
     return shown[0] if shown else ""
 
 
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 
 
 @frozen

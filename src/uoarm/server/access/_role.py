@@ -24,6 +24,7 @@ from typing import Any
 import orjson
 from attrs import field, frozen
 
+from uoarm._raised import Log
 from uoarm._secrets import HIDDEN, is_secret_name
 from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.model import Message, StopReport
@@ -228,8 +229,7 @@ def _unless_expired(grant: Grant | None, now: datetime) -> Grant | None:
 LOCAL = Grant("local", EVERYTHING, principal="local")
 """Of everyone, where there is no access file."""
 
-_log = logging.getLogger("uoarm.audit")
-_server_log = logging.getLogger("uoarm.server")
+_log, _server_log = Log("uoarm.audit"), Log("uoarm.server")
 _PIN = re.compile(r"(^|_)pin$", re.IGNORECASE)
 _AUDIT_MODE = 0o600
 _DEPTH = 16
@@ -264,7 +264,7 @@ class Audit:
     def is_kept(self) -> bool:
         """Whether the last line is in every file that the log is appended to."""
         return not any(
-            handler.is_failing for handler in _log.handlers if isinstance(handler, AuditFile)
+            handler.is_failing for handler in _log.logger.handlers if isinstance(handler, AuditFile)
         )
 
     def note(
@@ -274,7 +274,7 @@ class Audit:
         level = logging.DEBUG if operation is Operation.SEND else logging.INFO
         if not allowed:
             level = logging.WARNING
-        if _log.isEnabledFor(level):
+        if _log.logger.isEnabledFor(level):
             self._write(
                 level,
                 session=session,
@@ -375,10 +375,10 @@ class AuditFile(WatchedFileHandler):
         self.setFormatter(logging.Formatter("%(message)s"))
         self.is_failing = False
         self._has_failed = False
-        self._former_level = _log.level
-        if _log.getEffectiveLevel() > logging.INFO:
-            _log.setLevel(logging.INFO)
-        _log.addHandler(self)
+        self._former_level = _log.logger.level
+        if _log.logger.getEffectiveLevel() > logging.INFO:
+            _log.logger.setLevel(logging.INFO)
+        _log.logger.addHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
         self._has_failed = False
@@ -401,9 +401,9 @@ class AuditFile(WatchedFileHandler):
 
     def close(self) -> None:
         """Append no more. Idempotent."""
-        if self in _log.handlers:
-            _log.removeHandler(self)
-            _log.setLevel(self._former_level)
+        if self in _log.logger.handlers:
+            _log.logger.removeHandler(self)
+            _log.logger.setLevel(self._former_level)
         with suppress(OSError):  # what could not be written was reported
             super().close()
 

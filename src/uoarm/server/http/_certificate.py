@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import logging
 import socket
 import ssl
 import stat
@@ -14,6 +13,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from uoarm._origin import install_command
+from uoarm._raised import Log
 from uoarm._support.files import stamp_of, write_whole
 from uoarm._support.tls import server_context
 from uoarm.errors import ConfigurationError
@@ -21,7 +21,7 @@ from uoarm.errors import ConfigurationError
 if TYPE_CHECKING:
     from uoarm._support.certificates import CertificateFacts
 
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 _VALID = timedelta(days=397)
 _RENEW_BEFORE = timedelta(days=30)
 _EARLIER = timedelta(hours=1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import logging
 import os
 import socket
 import sys
@@ -13,9 +12,9 @@ from collections.abc import Callable
 from typing import Any
 
 from uoarm._forks import close_in_children
-from uoarm._raised import on_failure
+from uoarm._raised import Log, on_failure
 
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 _EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 _ABSENT = frozenset({errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT})
 # asyncio takes a socket out of its loop for a second after an error of these, but not before it has

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
-import logging
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -13,7 +12,7 @@ from typing import Protocol
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
-from uoarm._raised import foreign
+from uoarm._raised import Log, foreign
 from uoarm._support.aio_deadlines import result_within
 from uoarm.model import BudgetUse
 from uoarm.server._limits import Limits
@@ -30,7 +29,7 @@ from uoarm.server.session._incoming import FrameDecoder, RateLimiter
 from uoarm.server.session._stateless_clients import AdmittedClient
 from uoarm.server.streams import Account, Outbox, acting
 
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 _TURN_SECONDS = 0.001
 _WRITE_OCTETS = 2**16
 """Written in one go: small frames cost a third of the time then; a reply waits for no more."""

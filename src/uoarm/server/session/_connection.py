@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import socket
 import struct
 import sys
@@ -22,6 +21,7 @@ from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.http11 import Request
 from websockets.protocol import State
 
+from uoarm._raised import Log
 from uoarm._support.aio_deadlines import result_within
 from uoarm.server._limits import Limits
 from uoarm.server.session._incoming import IncomingError, IncomingFrames, ParsingTurns, Turn
@@ -30,7 +30,7 @@ from uoarm.server.streams import Account
 if TYPE_CHECKING:
     from websockets.typing import BytesLike  # not in the oldest version
 
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 _SLICE = 2048
 """Octets given to the parser in one go: 300 frames without content, which are parsed in 3 ms."""
 _TURN_SECONDS = 0.00025

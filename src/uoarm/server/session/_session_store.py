@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import secrets
 import time
 from collections import Counter, OrderedDict
@@ -12,6 +11,7 @@ from typing import Protocol
 
 from attrs import define, field
 
+from uoarm._raised import Log
 from uoarm._support.aio_deadlines import result_within
 from uoarm.errors import UsageError
 from uoarm.model import ControlMessage
@@ -21,7 +21,7 @@ from uoarm.server.access import AccessRole, Credentials, hash_token
 from uoarm.server.session._client import ConnectedClient, Session
 from uoarm.server.streams import Account, MemoryUse
 
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 _KEY_BYTES = 32
 
 

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, TypeVar
 from attrs import evolve
 
 from uoarm._control import Connection, RobotManager
-from uoarm._raised import LimitedLog, foreign, on_failure
+from uoarm._raised import LimitedLog, Log, foreign, on_failure
 from uoarm._wire import TEXT_FORM, Form
 from uoarm.config import loads
 from uoarm.errors import (
@@ -52,7 +52,7 @@ from uoarm.server.streams._workers import CallEnded, LoopMailbox, SharedViews, W
 A = TypeVar("A")
 Q = TypeVar("Q", bound=Hashable)
 T = TypeVar("T")
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 Watcher: TypeAlias = "Callable[[ChangeNotice], None]"
 """Callback: a change."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from types import MappingProxyType
@@ -11,6 +10,7 @@ from typing import Any, TypeAlias
 
 from attrs import define, field
 
+from uoarm._raised import Log
 from uoarm.errors import UoarmError
 from uoarm.model import MessageStructure, Plan
 from uoarm.server.streams._workers import Workers
@@ -100,7 +100,7 @@ class KnownStructures:
 
 _MOST_KEPT = 1024
 _LONGEST = 255
-_log = logging.getLogger("uoarm.server")
+_log = Log("uoarm.server")
 InWorker: TypeAlias = Callable[[Callable[[], Any]], Awaitable[Any]]
 
 
