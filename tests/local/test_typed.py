@@ -299,6 +299,87 @@ def test_a_whole_number_may_be_written_as_a_float() -> None:
         write({**message, "number": 1.5})
 
 
+class Counts(TypedDict):
+    number: int
+    real: float
+    either: int | float
+    maybe: NotRequired[int | None]
+    inner: list[Annotated[int, Range(0, 9)]]
+    named: dict[str, list[Plain | str]]
+
+
+class Plain(TypedDict):
+    number: int
+
+
+@dataclass
+class Held:
+    counts: Counts
+    several: list[int]
+    maybe: int | None
+
+
+COUNTS = {
+    "number": 1.0,
+    "real": 1.0,
+    "either": 1.0,
+    "maybe": 2.0,
+    "inner": [1, 2.0],
+    "named": {"one": [{"number": 3.0}, "n"], "none": []},
+}
+MADE = (
+    "{'number': 1, 'real': 1.0, 'either': 1.0, 'maybe': 2, 'inner': [1, 2], "
+    "'named': {'one': [{'number': 3}, 'n'], 'none': []}}"
+)
+
+
+@pytest.mark.parametrize(
+    ("hint", "given", "expected"),
+    [
+        (int, 1.0, "1"),
+        (int, 1.5, "1.5"),
+        (int, float("inf"), "inf"),
+        (float, 1.0, "1.0"),
+        (NewType("Index", int), 1.0, "1"),
+        (list[int], [1.0, 2], "[1, 2]"),
+        (list[list[int]], [[1.0], []], "[[1], []]"),
+        (list[int] | list[float], [1.0], "[1.0]"),
+        (list[int] | int | None, 1.0, "1"),
+        (tuple[int, ...], [1.0], "(1,)"),
+        (dict[str, int], {"a": 1.0}, "{'a': 1}"),
+        (
+            Counts,
+            COUNTS,
+            MADE,
+        ),
+        (
+            Held,
+            {"counts": COUNTS, "several": [1.0], "maybe": 1.0},
+            f"Held(counts={MADE}, several=[1], maybe=1)",
+        ),
+    ],
+)
+def test_a_handler_gets_an_int_where_its_hint_says_so(hint: Any, given: Any, expected: str) -> None:
+    before, read = repr(given), reader(hint, "here")
+    assert repr(given if read is None else read(given)) == expected
+    assert repr(given) == before  # others get it, too
+
+
+class Branch(TypedDict):
+    number: int
+    twigs: list[Branch]
+
+
+def test_a_value_without_floats_and_one_of_a_hint_in_itself_are_passed() -> None:
+    numbers = [1, 2, 3]
+    read = reader(list[int], "here")
+    assert read is not None
+    assert read(numbers) is numbers
+    read = reader(Branch, "here")
+    assert read is not None
+    assert read({"number": 1.0, "twigs": []}) == {"number": 1, "twigs": []}
+
+
 def test_an_enumeration_of_what_is_no_json_has_no_structure() -> None:
     with pytest.raises(HintError, match="neither texts, numbers"):
         schema_of(Enum("Colour", {"RED": (255, 0, 0)}))

@@ -1,16 +1,17 @@
 """Messages as the values that hints describe, and back: by cattrs, compiled once for each hint.
 
 cattrs, numpy and pydantic are imported only where a hint needs them. A hint that plain values
-meet as they are (TypedDict of numbers and texts, lists of numbers) has no conversion at all.
+meet as they are (TypedDict of numbers and texts, lists of numbers) has no conversion but that of
+1.0, an integer of JSON Schema, to the int that it says.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import Enum
-from functools import cache, lru_cache, reduce
+from functools import cache, lru_cache, partial, reduce
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from cattrs import Converter
 
 _PRIMITIVES = (bool, int, float, str)
+_Make = Callable[[Any], Any]
 _FLAT = frozenset({*_PRIMITIVES, bytes, type(None)})
 
 
@@ -62,7 +64,8 @@ def reader(hint: Any, place: str) -> Callable[[Message], Any] | None:
         HintError: no such value can be made.
     """
     if is_plain(hint):
-        return None
+        found = _found(_integers(hint))
+        return partial(_converted, found) if found else None
     from cattrs import transform_error  # noqa: PLC0415 - slow import
 
     structure = _compiled(hint, place, _structure_hook)
@@ -78,6 +81,68 @@ def reader(hint: Any, place: str) -> Callable[[Message], Any] | None:
             raise MessageError(f"{place} takes {name}: {mistakes}") from error
 
     return read
+
+
+def _integers(hint: Any, within: tuple[Any, ...] = ()) -> dict[type, _Make | None]:
+    """Return what makes integers of the floats in a value of a plain hint, by the value's class.
+
+    None: a value of that class stays as it is, as a float does where the hint is `int | float`.
+    """
+    hint = unwrapped(hint)
+    if hint is int:
+        return {float: _integer}
+    if hint is float or hint in within:
+        return {float: None}
+    if is_typeddict(hint):
+        parts = {name: part for name, (part, _) in (fields_of(hint) or {}).items()}
+        known = {name: _found(_integers(part, (*within, hint))) for name, part in parts.items()}
+        fields = {name: found for name, found in known.items() if found}
+        return {dict: partial(_in_fields, fields) if fields else None}
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in {Union, UnionType}:
+        made: dict[type, _Make | None] = {}
+        for part in arguments:
+            for kind, make in _integers(part, within).items():
+                made[kind] = None if kind in made else make  # which of two is not known
+        return made
+    if origin in {list, dict} and arguments:
+        inner = _found(_integers(arguments[-1], within))
+        make = partial(_in_list if origin is list else _in_values, inner) if inner else None
+        return {origin: make}
+    return _integers(arguments[0], within) if origin in {Annotated, *QUALIFIERS} else {}
+
+
+def _found(integers: Mapping[type, _Make | None]) -> dict[type, _Make]:
+    return {kind: make for kind, make in integers.items() if make is not None}
+
+
+def _converted(found: Mapping[type, _Make], value: Any) -> Any:
+    make = found.get(value.__class__)
+    return value if make is None else make(value)
+
+
+def _integer(value: float) -> Any:
+    return int(value) if value.is_integer() else value  # what is none, a check refuses
+
+
+def _in_fields(fields: Mapping[str, Mapping[type, _Make]], value: dict[str, Any]) -> Any:
+    made = value  # which others get, too
+    for name, found in fields.items():
+        item = value.get(name)
+        other = _converted(found, item)
+        if other is not item:
+            made = {**made, name: other}
+    return made
+
+
+def _in_values(found: Mapping[type, _Make], value: dict[str, Any]) -> Any:
+    return _in_fields(dict.fromkeys(value, found), value)
+
+
+def _in_list(found: Mapping[type, _Make], value: list[Any]) -> Any:
+    if found.keys().isdisjoint(map(type, value)):
+        return value
+    return [_converted(found, item) for item in value]
 
 
 def writer(hint: Any, place: str) -> Callable[[Any], Message] | None:
@@ -309,7 +374,7 @@ def _converter() -> Converter:
     made.register_unstructure_hook_factory(_is_choice, lambda _: plain_inside)
     made.register_structure_hook_factory(_numbers, lambda hint: _numbers(hint).read)
     made.register_unstructure_hook_factory(_numbers, lambda hint: _numbers(hint).write)
-    made.register_structure_hook_factory(_is_passed, lambda _: _as_it_is)
+    made.register_structure_hook_factory(_is_passed, _passing)
     made.register_unstructure_hook_factory(_is_passed, lambda _: _same)
     return made
 
@@ -378,8 +443,9 @@ def _is_passed(hint: Any) -> bool:
     return not any(hint is item for item in _PRIMITIVES) and is_plain(hint)
 
 
-def _as_it_is(value: Any, _: Any) -> Any:
-    return value
+def _passing(hint: Any) -> Callable[[Any, Any], Any]:
+    found = _found(_integers(hint))
+    return lambda value, _: _converted(found, value)
 
 
 def _same(value: Any) -> Any:
@@ -387,8 +453,8 @@ def _same(value: Any) -> Any:
 
 
 def _primitive(value: Any, kind: Any) -> Any:
-    if kind is int and value.__class__ is float:  # 1.0, which is an integer of JSON Schema
-        return int(value)
+    if kind is int and value.__class__ is float:
+        return _integer(value)
     # cattrs asks for what is a number or a text by its class, an IntEnum too.
     return value if kind in _PRIMITIVES else kind(value)
 
