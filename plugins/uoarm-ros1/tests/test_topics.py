@@ -363,6 +363,47 @@ def test_a_topic_is_well_again_once_whom_it_refused_is_gone(master: Master, last
     other.kill()
 
 
+def test_a_topic_is_well_again_once_the_publisher_that_it_refused_is_gone(
+    master: Master, lasting: Peer
+) -> None:
+    other = master.peer("another")
+    lasting.do("advertise", topic="/mingled", type=INT)
+    with bridge_to(master) as bridge:
+        reports, came = Inbox(bridge), Inbox()
+        place = output("/mingled", INT, wait=patience(), peer="optional")
+        source = bridge.open_source(place, ANY, came)
+        other.do("advertise", topic="/mingled", type="std_msgs/String")
+        refused = reports.event(Health.DEGRADED, "std_msgs/String")
+        lasting.publish("/mingled", type=INT, values={"data": 1})
+        came.wait_for(1)
+        assert not [event for event in reports.messages if event.health is Health.OK]
+        lasting.do("advertise_no_more", topic="/mingled")
+        wait(lambda: source.facts()["publishers"] == [])
+        lasting.do("advertise", topic="/mingled", type=INT)
+        wait(lambda: source.facts()["publishers"] == ["/lasting"])
+        again = [Health.OK, Health.DEGRADED]
+        wait(lambda: [event.health for event in reports.messages[-2:]] == again, "it is refused")
+        other.do("advertise_no_more", topic="/mingled")
+        assert refused.channel is reports.event(Health.OK, "connected, or publishes no").channel
+    other.kill()
+
+
+def test_a_subscriber_that_is_refused_still_is_reported_beside_one_that_comes(
+    master: Master, lasting: Peer
+) -> None:
+    other = master.peer("still_other")
+    with bridge_to(master) as bridge:
+        reports = Inbox(bridge)
+        sink = bridge.open_sink(input_("/mixed/still", INT, peer="optional"), ANY)
+        other.do("subscribe", topic="/mixed/still", type="std_msgs/String")
+        reports.event(Health.DEGRADED, "/still_other wants topic /mixed/still")
+        lasting.do("subscribe", topic="/mixed/still", type=INT)
+        wait(lambda: sink.facts()["subscribers"] == ["/lasting"])
+        again = [Health.OK, Health.DEGRADED]
+        wait(lambda: [event.health for event in reports.messages[-2:]] == again, "it is refused")
+    other.kill()
+
+
 def test_a_subscriber_that_takes_no_tcpros_is_named(master: Master) -> None:
     with bridge_to(master) as bridge:
         reports = Inbox(bridge)

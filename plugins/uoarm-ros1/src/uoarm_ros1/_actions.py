@@ -250,7 +250,7 @@ class ActionCaller:
             goal.result = message["result"]
             goal.ended.set()
 
-    def _went(self, name: str, cause: str, was_connected: bool) -> None:  # noqa: FBT001 - of the subscription
+    def _went(self, name: str, cause: str, was_connected: bool, _: bool) -> None:  # noqa: FBT001 - of the subscription
         if was_connected and not self._subscription.connected:
             self._end_all(f"its server is gone: {name}: {cause}")
 
@@ -447,9 +447,8 @@ def _ignore_header(_: PublisherHeader) -> None:
     """Clients come and go."""
 
 
-def _ignore_end(name: str, cause: str, was_connected: bool) -> None:  # noqa: FBT001 - of the subscription
+def _ignore_end(*_: object) -> None:
     """Clients come and go."""
-    del name, cause, was_connected
 
 
 def _moment(stamp: Message) -> tuple[int, int]:

@@ -92,9 +92,13 @@ class _Subscribed:
         self.health = place.health("publisher", say)
         self.is_latched = False
         self.breaks = 0
+        # Why publishers are not connected, by address: those that are there and cannot be
+        # understood, and those that are not reached. In the publishers' threads and the watch.
+        self._refused: dict[str, str] = {}
+        self._unreached: dict[str, str] = {}
         wanted = evolve(place.wanted(record), in_runs=in_runs)
         self.subscription = TopicSubscription(
-            wanted, place.node.peers, take, self._came, self._went
+            wanted, place.node.peers, take, self._came, self._went, self._settled
         )
 
     def open(self) -> None:
@@ -116,6 +120,20 @@ class _Subscribed:
         self.health.close()
         self.place.node.unsubscribe(self.subscription)
 
+    def passed(self) -> None:
+        """A message came: who was killed stays listed, and is not missed."""
+        self.health.passed()
+        for uri in tuple(self._unreached):
+            self._settled(uri)
+
+    def tick(self) -> None:
+        """Judge the silence, and again who is not understood: a first publisher covered that up."""
+        self.health.tick()
+        for uri, cause in tuple(self._refused.items()):
+            self.health.judged(HealthReason.REFUSED, Health.DEGRADED, cause, uri)
+            if uri not in self._refused:
+                self._settled(uri)  # meanwhile
+
     def _wait(self) -> None:
         """Wait until every publisher that is listed is connected, or could not be."""
         place, subscription = self.place, self.subscription
@@ -135,13 +153,20 @@ class _Subscribed:
         self.is_latched = self.is_latched or header.latching
         self._count(header.node)
 
-    def _went(self, name: str, cause: str, was_connected: bool) -> None:  # noqa: FBT001 - of the subscription
+    def _went(self, name: str, cause: str, was_connected: bool, is_refusal: bool) -> None:  # noqa: FBT001 - of the subscription
         if was_connected:
             self.breaks += 1
             self._gone(name)
             self._count(f"{name}: {cause}")
         else:
-            self.health.refused(cause)
+            (self._refused if is_refusal else self._unreached)[name] = cause
+            self.health.judged(HealthReason.REFUSED, Health.DEGRADED, cause, name)
+
+    def _settled(self, uri: str) -> None:
+        self._refused.pop(uri, None)
+        self._unreached.pop(uri, None)
+        why = f"{uri} is connected, or publishes no more"
+        self.health.judged(HealthReason.REFUSED, Health.OK, why, uri)
 
     def _count(self, cause: str) -> None:
         self.health.connected(len(self.subscription.connected), cause)
@@ -180,7 +205,7 @@ class Ros1TopicSource(Source):
 
     def tick(self, _: Graph) -> None:
         """Look whether messages come."""
-        self._subscribed.health.tick()
+        self._subscribed.tick()
 
     def _take(self, frame: bytes | bytearray, writer: str) -> None:
         self._received += 1
@@ -189,7 +214,7 @@ class Ros1TopicSource(Source):
         except MessageError as error:
             self._deliver.unreadable(f"{self._place.topic}: {error}")
             return
-        self._subscribed.health.passed()
+        self._subscribed.passed()
         self._deliver(message, writer)
 
     def _close(self) -> None:
@@ -205,8 +230,8 @@ class _Publishing:
         self.place = place
         self.health = place.health("subscriber", say)
         self._refusal = ""
-        # When they were: added to in the loop's thread, taken from by the watch.
-        self._refused: dict[str, float] = {}
+        # When they were, and why: added to in the loop's thread, taken from by the watch.
+        self._refused: dict[str, tuple[float, str]] = {}
         port, node = place.port, place.node
         limits = (port.queue, 4 * node.options.budget.octets)
         self.publication = node.advertise(place.topic, record, latch=int(port.latch), limits=limits)
@@ -238,8 +263,10 @@ class _Publishing:
             away = graph.living((before.keys() & subscribing).difference(self.publication.callers))
         except BridgeError:
             return  # of the master's absence it says nothing
-        for caller in before.keys() - away:
-            if state.asked > before[caller]:
+        for caller, (when, what) in before.items():
+            if caller in away:  # again: a first subscriber covered that up
+                self.health.judged(HealthReason.REFUSED, Health.DEGRADED, what, caller)
+            elif state.asked > when:
                 self._refused.pop(caller, None)
                 why = f"{caller} is connected, or subscribes no more"
                 self.health.judged(HealthReason.REFUSED, Health.OK, why, caller)
@@ -250,7 +277,7 @@ class _Publishing:
             return
         self._refusal = what
         if refused in self._refused or len(self._refused) < _MOST_REFUSED:
-            self._refused[refused] = time.monotonic()
+            self._refused[refused] = time.monotonic(), what
             self.health.judged(HealthReason.REFUSED, Health.DEGRADED, what, refused)
 
     def _wait(self) -> None:
@@ -380,11 +407,11 @@ class Relay(Channel):
 
     def tick(self, graph: Graph) -> None:
         """Look whether messages come, and whether subscribers that were refused still are."""
-        self._subscribed.health.tick()
+        self._subscribed.tick()
         self._publishing.tick(graph)
 
     def _take(self, run: bytes | bytearray, _: str) -> None:
-        self._subscribed.health.passed()
+        self._subscribed.passed()
         self._moved += self._publishing.publication.send_run(run)
 
     def _close(self) -> None:

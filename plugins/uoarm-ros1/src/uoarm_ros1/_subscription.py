@@ -200,9 +200,12 @@ class _Publisher:
     def _run(self) -> None:
         failed = 0  # times in a row that it could not be connected
         while not self._closed.is_set():
+            is_refusal = False
             try:
                 cause = self._connect_and_read()
-            except (OSError, ProtocolError, BridgeError) as error:
+            except ProtocolError as error:
+                cause, is_refusal = str(error), True
+            except (OSError, BridgeError) as error:
                 cause = str(error)
             except Exception as error:  # noqa: BLE001 - of what takes messages: it is reported
                 cause = text_of(error)
@@ -212,7 +215,9 @@ class _Publisher:
             name = self.uri if header is None else header.node
             # A node that was killed stays listed, and is tried for ever: it is said once.
             if header is not None or not failed:
-                self._owner.ended(name, cause, was_connected=header is not None)
+                self._owner.ended(
+                    name, cause, was_connected=header is not None, is_refusal=is_refusal
+                )
             failed = failed + 1 if header is None else 0
             if self.is_listed:
                 self._poked.wait(_BACKOFF.pause(failed + 1))
@@ -236,7 +241,7 @@ class _Publisher:
                 return ""
             self._await_listing(connection)
             self.header, self.failure = header, ""
-            self._owner.came(header)
+            self._owner.came(self.uri, header)
             return self._read(connection, reader)
 
     def _await_listing(self, connection: socket.socket) -> None:
@@ -319,14 +324,17 @@ class TopicSubscription:
             publisher.
         came: is called when a publisher is connected, with its header.
         went: is called when one that was connected is not any more, or one cannot be connected,
-            with its name or address, the cause, and whether it had been connected.
+            with its name or address, the cause, whether it had been connected, and whether it is
+            there and cannot be understood.
+        settled: is called with the address of a publisher that is connected, or listed no more.
     """
 
     wanted: SubscriptionOptions
     peers: Peers
     take: Callable[[bytes | bytearray, str], object]
     _came: Callable[[PublisherHeader], object]
-    _went: Callable[[str, str, bool], object]
+    _went: Callable[[str, str, bool, bool], object]
+    _settled: Callable[[str], object] = lambda _: None
     # Guards the table of publishers, between the loop, in which the master's word comes, and
     # their threads.
     _changed: threading.Condition = field(factory=threading.Condition, init=False)
@@ -406,20 +414,23 @@ class TopicSubscription:
         for publisher in publishers:
             publisher.close()
 
-    def came(self, header: PublisherHeader) -> None:
+    def came(self, uri: str, header: PublisherHeader) -> None:
         """Take note of a connection; for its thread."""
         self._came(header)
+        self._settled(uri)
         with self._changed:
             self._changed.notify_all()
 
-    def ended(self, name: str, cause: str, *, was_connected: bool) -> None:
+    def ended(
+        self, name: str, cause: str, *, was_connected: bool, is_refusal: bool = False
+    ) -> None:
         """Take note that a publisher is not connected, and why; for its thread."""
         with self._changed:
             self._changed.notify_all()
             if self._closed:
                 return
         if cause:
-            self._went(name, cause, was_connected)
+            self._went(name, cause, was_connected, is_refusal)
 
     def left(self, publisher: _Publisher) -> None:
         """Forget a publisher that is listed no more; for its thread, as it ends."""
@@ -428,5 +439,6 @@ class TopicSubscription:
                 del self._publishers[publisher.uri]
             again = publisher.is_listed and not self._closed
             self._changed.notify_all()
+        self._settled(publisher.uri)
         if again:  # listed again while its thread was ending
             self.update((*self.listed, publisher.uri))

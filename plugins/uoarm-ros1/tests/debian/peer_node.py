@@ -65,6 +65,10 @@ def advertise(topic, type, latch=False, queue=1000):
     PUBLISHERS[topic] = rospy.Publisher(topic, message_class(type), latch=latch, queue_size=queue)
 
 
+def advertise_no_more(topic):
+    PUBLISHERS.pop(topic).unregister()
+
+
 def publish(topic, type, values, count=1, gap=0):
     kind = message_class(type)
     for _ in range(count):
