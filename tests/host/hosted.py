@@ -103,6 +103,15 @@ def leak(value: int) -> int:
 def echo(message: dict) -> dict:
     return message
 
+def ail(value: bool) -> bool:
+    import gc
+    from uoarm.bridge import Bridge
+    from uoarm.model import Health
+    health, cause = (Health.DEGRADED, "it ails") if value else (Health.OK, "it is well")
+    [bridge] = [found for found in gc.get_objects() if issubclass(type(found), Bridge)]
+    bridge.report(health, cause)
+    return value
+
 def know(value: "int | None") -> int:
     from uoarm.bridge import Bridge
     Bridge.facts = lambda _: {"empty_turns": value + 0}

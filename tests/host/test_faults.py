@@ -122,6 +122,28 @@ def test_a_host_that_is_stopped_for_a_moment_goes_on_and_loses_nothing(
     bridge.close()
 
 
+def test_a_host_that_answers_again_covers_up_nothing_that_its_bridge_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hosted.doubt_soon(monkeypatch)
+    bridge = hosted.bridge(tmp_path)
+    events = Events()
+    bridge.watch(events)
+    assert bridge.call(at("ail", Role.SERVICE), True)
+    wait(lambda: len(events.all) == 1)
+    os.kill(bridge.process, signal.SIGSTOP)
+    wait(lambda: len(events.all) == 2)
+    os.kill(bridge.process, signal.SIGCONT)
+    wait(lambda: len(events.all) == 3)
+    assert not bridge.call(at("ail", Role.SERVICE), False)
+    wait(lambda: len(events.all) == 4)
+    ails, unanswered, again, well = ((event.health, event.cause) for event in events.all)
+    assert ails == again == (Health.DEGRADED, "it ails")
+    assert unanswered[0] is Health.DEGRADED
+    assert well == (Health.OK, "it is well")
+    bridge.close()
+
+
 def test_a_storm_of_exceptions_kills_nothing_and_every_one_is_counted(tmp_path: Path) -> None:
     bridge = hosted.bridge(tmp_path)
     sink = bridge.open_sink(at("refuse", Role.INPUT), ANY)

@@ -259,6 +259,8 @@ class RemoteBridge(Bridge):
         self._numbers = itertools.count(1)
         self._channels: dict[int, RemoteChannel] = {}
         self._facts: Mapping[str, object] = {}
+        # How the bridge in the host is by its own word, whether that answers or not.
+        self._reported = Health.OK, ""
         self._services = RequestWorkers(f"uoarm-serve-{spec.name}")
         # Held while it is reported, as who asks meanwhile fails only after that: what opens
         # is then known to have died, and is replaced (`test_manager_hosts.py`).
@@ -462,7 +464,11 @@ class RemoteBridge(Bridge):
                 channel.outgoing.confirm(Handled(*handled))
 
     def _on_doubt(self, in_doubt: bool, cause: str) -> None:  # noqa: FBT001 - a callback
-        self.report(Health.DEGRADED if in_doubt else Health.OK, cause)
+        if in_doubt:
+            self.report(Health.DEGRADED, cause)
+        else:
+            health, why = self._reported
+            self.report(health, cause if health is Health.OK else why)
 
     def _on_death(self, cause: str) -> None:
         for channel in list(self._channels.values()):
@@ -478,9 +484,12 @@ class RemoteBridge(Bridge):
                 self.report(Health.LOST, f"its bridge host died: {self._host.dead}")
 
     def _on_health_event(self, event: Mapping[str, Any], reply: Reply) -> None:
+        health, cause = Health(event["health"]), event["cause"]
+        if event["flow"] is None and event["component"] is None:
+            self._reported = health, cause
         self.report(
-            Health(event["health"]),
-            event["cause"],
+            health,
+            cause,
             channel=self._channels.get(event["flow"]),
             component=event["component"],
         )
