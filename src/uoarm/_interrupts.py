@@ -19,6 +19,8 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
+from operator import methodcaller
 from types import FrameType
 from typing import Any, overload
 
@@ -136,14 +138,20 @@ def _set_below(number: int, below: Any) -> None:
         _sigaction(number, below, None)
 
 
-_collecting: list[int] = []  # the thread in which the garbage collector runs
+class _Collection(threading.local):
+    """Whether the garbage collector runs in this thread.
+
+    All of it is C: Python handles a signal as a function begins, and drops what is raised in a
+    function that the collector calls.
+    """
+
+    is_running = False
+    start = property(methodcaller("__setattr__", "is_running", True))
+    stop = property(methodcaller("__setattr__", "is_running", False))
 
 
-def _note_collection(phase: str, _: object) -> None:
-    _collecting[:] = [threading.get_ident()] if phase == "start" else ()
-
-
-gc.callbacks.append(_note_collection)
+_collection = _Collection()
+gc.callbacks.append(partial(getattr, _collection))  # each phase by its name
 
 
 def put_off(call: Callable[[], object]) -> bool:
@@ -154,7 +162,7 @@ def put_off(call: Callable[[], object]) -> bool:
     """
     if sys.is_finalizing():
         return True
-    if threading.get_ident() not in _collecting:
+    if not _collection.is_running:
         return False
     threading.Thread(target=call, name="uoarm-finalizer", daemon=True).start()
     return True

@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 import pytest
 from tests.manager.stage import FACE
-from tests.processes import frame_of
+from tests.processes import frame_of, run_python
 
 from uoarm import BridgeError, BridgeTimeoutError, RobotManager, _interrupts
 from uoarm._interrupts import Uninterrupted, wait_step
@@ -625,3 +625,33 @@ def test_a_step_that_a_signal_kept_from_its_thread_does_not_count_as_hanging(
     with pytest.raises(RuntimeError, match="new thread"):
         deadlines.run("starting it", patience(), list)
     assert deadlines._hanging.steps == before
+
+
+INTERRUPTED_AS_IT_COLLECTS = """
+import ctypes, gc, signal, weakref
+from operator import methodcaller
+import uoarm._interrupts
+
+
+class Reference(weakref.ref):
+    send = staticmethod(ctypes.CDLL(None)["raise"])  # by Python it would be handled here
+
+
+class Cycle:
+    def __init__(self):
+        self.itself = self
+
+
+cycle = Cycle()
+reference = Reference(cycle, methodcaller("send", int(signal.SIGINT)))
+del cycle
+try:
+    gc.collect()
+except KeyboardInterrupt:
+    print("raised")
+"""
+
+
+def test_a_signal_while_the_garbage_collector_runs_is_raised() -> None:
+    done = run_python("-c", INTERRUPTED_AS_IT_COLLECTS)
+    assert (done.stdout, done.stderr) == ("raised\n", "")
