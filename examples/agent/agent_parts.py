@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Annotated, TypedDict
 
 from uoarm.local import Range
@@ -35,9 +36,15 @@ class Pressure(TypedDict):
     diastolic: int
 
 
+def show(line: str) -> None:
+    """Print a line; that what reads it has ended is for the program to notice, and no fault."""
+    with suppress(BrokenPipeError):
+        print(line, flush=True)
+
+
 def say(request: Text) -> Text:
     """Say a text."""
-    print(f"robot: {request['text']}", flush=True)
+    show(f"robot: {request['text']}")
     return request
 
 
@@ -50,5 +57,5 @@ def measure_heart() -> Iterator[HeartRate]:
 
 def measure(request: Cuff) -> Pressure:
     """Pump the cuff up, and measure."""
-    print(f"cuff: pumped up to {request['pressure']:g} mmHg", flush=True)
+    show(f"cuff: pumped up to {request['pressure']:g} mmHg")
     return {"systolic": 124, "diastolic": 81}

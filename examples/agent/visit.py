@@ -9,11 +9,16 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import os
 import signal
 import sys
 import tempfile
+from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import httpx2
 from mcp.client.client import Client
@@ -80,9 +85,7 @@ async def approve_all(url: str, token: str) -> None:
 async def visit(ports: tuple[int, ...], tokens: dict[str, str], *, approve: bool) -> str:
     """Lead one visit."""
     url = f"ws://127.0.0.1:{ports[0]}/"
-    if approve:
-        nurse = asyncio.ensure_future(approve_all(url, tokens["nurse"]))
-    else:
+    if not approve:
         print(f"in another terminal: export UOARM_TOKEN={tokens['nurse']}")
         print(f"  uoarm approve --url {url}            # what waits")
         print(f"  uoarm approve APPROVAL --url {url}   # approve it", flush=True)
@@ -90,9 +93,18 @@ async def visit(ports: tuple[int, ...], tokens: dict[str, str], *, approve: bool
     async with httpx2.AsyncClient(headers=headers, timeout=60) as http:
         transport = streamable_http_client(f"http://127.0.0.1:{ports[1]}/mcp", http_client=http)
         async with Client(transport) as client:
-            found = await lead(client, "I would like to be measured, please.")
-    if approve:
-        nurse.cancel()
+            works: list[Coroutine[Any, Any, Any]] = [
+                lead(client, "I would like to be measured, please.")
+            ]
+            if approve:
+                works.append(approve_all(url, tokens["nurse"]))
+            tasks = [asyncio.ensure_future(work) for work in works]
+            ended, going = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in going:
+                task.cancel()
+            await asyncio.gather(*going, return_exceptions=True)
+    # Not within the client, which makes a group of whatever is raised there.
+    found: str = ended.pop().result()
     return found
 
 
@@ -117,8 +129,11 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
         main()
     except KeyboardInterrupt:
         sys.exit(130)
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)

@@ -5,9 +5,13 @@ Like many a real one it has no timeout of its own: it goes on until a command st
 
 from __future__ import annotations
 
+import os
 import signal
 from contextlib import suppress
 from math import cos, sin
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import rclpy
 from geometry_msgs.msg import Twist
@@ -50,7 +54,8 @@ class Base(Node):  # type: ignore[misc]  # rclpy has no types
 
 def main() -> None:
     """Drive until interrupted."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with suppress(KeyboardInterrupt):  # also as it begins
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         base = Base()
@@ -61,4 +66,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)

@@ -19,6 +19,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.errors import UoarmError
@@ -153,11 +156,12 @@ def main(*given: int) -> None:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     given = sys.argv[1:]
     if len(given) not in {0, len(VEHICLES)} or not all(map(str.isdecimal, given)):
         sys.exit(f"usage: desk.py [PORT PORT PORT], not {' '.join(given)}")
     try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
         main(*map(int, given))
     except KeyboardInterrupt:
         sys.exit(130)

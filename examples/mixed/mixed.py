@@ -22,14 +22,22 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 from uoarm import RobotManager
 from uoarm.config import loads
+from uoarm.errors import UoarmError
 
 HERE = Path(__file__).resolve().parent
 DEBIAN = Path("/usr/bin/python3"), Path("/usr/lib/python3/dist-packages/rospy")
 ROSMASTER = Path("/usr/bin/rosmaster")
 BETWEEN = 100  # what is darker is of ROS 1
 AIM = 1.0  # seconds that a takeover may take
+
+
+class PartError(Exception):
+    """A part has ended by itself; the text says which, and what it wrote last."""
 
 
 class Parts:
@@ -62,6 +70,24 @@ class Parts:
         """End a part without a word."""
         self._processes[name].kill()
         self._processes[name].wait()
+
+    def until(self, is_so: Callable[[], bool], what: str, seconds: float) -> None:
+        """Wait until something is so.
+
+        Raises:
+            PartError: a part has ended meanwhile.
+            TimeoutError: it is not, so long.
+        """
+        deadline = time.monotonic() + seconds
+        while not is_so():
+            for name, process in self._processes.items():
+                if process.poll() is not None:
+                    said = (self.folder / f"{name}.log").read_text("utf-8", "replace").split("\n")
+                    why = next(filter(None, reversed(said)), "it wrote nothing")
+                    raise PartError(f"{name} ended with {process.returncode}: {why}")
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"{what}: not within {seconds:g} s")
+            time.sleep(0.02)
 
     def end(self) -> None:
         """End all."""
@@ -126,11 +152,13 @@ def running(*, alone: bool) -> Iterator[Parts]:
         try:
             for name in ("master", "broker", "new camera"):
                 parts.start(name)
-            until(lambda: answers(parts.master) and answers(parts.broker), "master and broker", 60)
+            parts.until(
+                lambda: answers(parts.master) and answers(parts.broker), "master and broker", 60
+            )
             for name in ("old camera", "sensor"):
                 parts.start(name)
             yield parts
-        except BrokenPipeError:
+        except (BrokenPipeError, PartError):
             raise
         except Exception:
             print(parts.log(), file=sys.stderr)
@@ -146,19 +174,6 @@ def answers(port: int) -> bool:
     except OSError:
         return False
     return True
-
-
-def until(is_so: Callable[[], bool], what: str, seconds: float) -> None:
-    """Wait until something is so.
-
-    Raises:
-        TimeoutError: it is not, so long.
-    """
-    deadline = time.monotonic() + seconds
-    while not is_so():
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"{what}: not within {seconds:g} s")
-        time.sleep(0.02)
 
 
 class Reports:
@@ -191,7 +206,7 @@ class Reports:
 
 
 def main() -> int:
-    """Run it; the exit status is 1 when the application had no pictures, 2 for what is missing.
+    """Run it; the exit status is 1 without pictures, 2 where something is missing or has ended.
 
     130 when it was interrupted, by Ctrl-C or SIGTERM.
     """
@@ -203,11 +218,15 @@ def main() -> int:
     if mosquitto() is None:
         print("mosquitto, the MQTT broker, is not here: apt install mosquitto", file=sys.stderr)
         return 2
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
         with running(alone=options.alone) as parts:
             return show(parts, options.times, options.patience)
-    except TimeoutError as error:
+    except PartError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except (TimeoutError, UoarmError) as error:
         print(error, file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -234,7 +253,7 @@ def show(parts: Parts, times: int, patience: float) -> int:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     reports = Reports()
     with RobotManager(loads(text, origin=str(HERE / "robot.yaml"))) as robot:
-        until(lambda: has_all(robot), "both cameras and the sensor", patience)
+        parts.until(lambda: has_all(robot), "both cameras and the sensor", patience)
         with robot.request("report") as connection:
             connection.subscribe(reports.take)
             reports.wait_for("ROS 1", patience)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import signal
 from contextlib import suppress
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -16,7 +19,6 @@ WIDTH, HEIGHT, BRIGHT = 64, 48, 200
 def main() -> None:
     """Publish on /camera/image until interrupted."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("camera")
     publisher = node.create_publisher(Image, "/camera/image", 10)
     image = Image(height=HEIGHT, width=WIDTH, encoding="mono8", step=WIDTH)
@@ -27,6 +29,8 @@ def main() -> None:
         publisher.publish(image)
 
     node.create_timer(0.05, take)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with suppress(KeyboardInterrupt):
         while True:
             rclpy.spin_once(node, timeout_sec=0.2)

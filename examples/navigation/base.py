@@ -10,6 +10,9 @@ from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import rclpy
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav2_msgs.action import NavigateToPose
@@ -158,10 +161,11 @@ def _length(path: list[tuple[float, float]]) -> float:
 def main() -> None:
     """Serve /navigate_to_pose until interrupted."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     executor = MultiThreadedExecutor(num_threads=4)
     base = Base()
     executor.add_node(base.node)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with suppress(KeyboardInterrupt):
         print("driving on /navigate_to_pose", flush=True)
         while True:

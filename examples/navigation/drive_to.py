@@ -12,6 +12,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 from uoarm import QueuePolicy, RobotManager
 from uoarm.errors import UoarmError
 from uoarm.model import StatusEvent
@@ -107,7 +110,8 @@ def typed_lines() -> Iterator[str]:
 
 def main() -> None:
     """Read goals until the input ends, or until interrupted."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with suppress(KeyboardInterrupt), RobotManager.from_file(HERE / "robot.yaml") as robot:
         robot.offer()
         driver = Driver(robot)
@@ -124,3 +128,5 @@ if __name__ == "__main__":
         main()
     except UoarmError as failure:
         sys.exit(str(failure))
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)

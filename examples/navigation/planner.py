@@ -6,6 +6,9 @@ import argparse
 import signal
 from contextlib import suppress
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan
@@ -26,7 +29,6 @@ def main() -> None:
     parser.add_argument("kind", choices=("grid", "straight"))
     kind = parser.parse_args().kind
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node(f"{kind}_planner")
 
     def plan(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
@@ -37,6 +39,8 @@ def main() -> None:
         return response
 
     node.create_service(GetPlan, f"/{kind}/plan", plan)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with suppress(KeyboardInterrupt):
         print(f"planning on /{kind}/plan", flush=True)
         while True:

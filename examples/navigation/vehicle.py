@@ -7,6 +7,9 @@ import signal
 import sys
 import threading
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 from uoarm_vda5050.vehicle import Drive, Vehicle
 
 from uoarm.errors import UoarmError

@@ -8,6 +8,9 @@ from __future__ import annotations
 import signal
 from contextlib import suppress
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import numpy as np
 import rclpy
 from rclpy.node import Node
@@ -22,7 +25,6 @@ SKIN = (224, 172, 105)
 def main() -> None:
     """Publish on /image_raw until interrupted."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("camera")
     publisher = node.create_publisher(Image, "/image_raw", qos_profile_sensor_data)
     taken = 0
@@ -39,6 +41,8 @@ def main() -> None:
         publisher.publish(image)
 
     node.create_timer(0.1, take)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with suppress(KeyboardInterrupt):
         print("showing pictures on /image_raw", flush=True)
         while True:

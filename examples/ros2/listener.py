@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
+import os
 import signal
-import sys
 from contextlib import suppress
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -15,9 +19,10 @@ from sensor_msgs.msg import RegionOfInterest
 
 def main() -> None:
     """Print from /face until interrupted, or as many as the first argument says."""
-    most = int(sys.argv[1]) if len(sys.argv) > 1 else None
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("most", type=int, nargs="?", help="how many; else until interrupted")
+    most = parser.parse_args().most
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("listener")
     received = 0
 
@@ -30,6 +35,8 @@ def main() -> None:
             raise ExternalShutdownException
 
     node.create_subscription(RegionOfInterest, "/face", show, 10)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         while True:
             rclpy.spin_once(node, timeout_sec=0.2)
@@ -37,4 +44,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import signal
 import sys
 from contextlib import suppress
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -16,10 +20,10 @@ from std_msgs.msg import String
 
 def main() -> None:
     """Publish on /chatter until interrupted, or as many times as the first argument says."""
-    arguments = remove_ros_args(sys.argv)
-    most = int(arguments[1]) if len(arguments) > 1 else None
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("most", type=int, nargs="?", help="how often; else until interrupted")
+    most = parser.parse_args(remove_ros_args(sys.argv)[1:]).most
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("talker")
     publisher = node.create_publisher(String, "chatter", 10)
     said = 0
@@ -32,6 +36,8 @@ def main() -> None:
             raise ExternalShutdownException
 
     node.create_timer(0.5, say)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         print("talking on /chatter", flush=True)
         while True:

@@ -10,6 +10,9 @@ import sys
 import time
 from contextlib import closing, suppress
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 
 from uoarm.errors import UoarmError
@@ -17,7 +20,8 @@ from uoarm.errors import UoarmError
 
 def main(nameserver: str) -> None:
     """Count until interrupted, or until the component is asked to exit."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with (
         suppress(KeyboardInterrupt),
         closing(Orb("127.0.0.1", call_seconds=2.0)) as orb,
@@ -26,11 +30,11 @@ def main(nameserver: str) -> None:
         count = component.add_out_port("count", "RTC::TimedLong", Types())
         component.bind([NamingService(orb, nameserver, seconds=2.0)])
         print("Counter0.rtc counts", flush=True)
-        number = 0
+        counted = 0
         while not component.wait_for_exit(0.5):
             seconds, rest = divmod(time.time_ns(), 1_000_000_000)
-            count.write({"tm": {"sec": seconds, "nsec": rest}, "data": number})
-            number += 1
+            count.write({"tm": {"sec": seconds, "nsec": rest}, "data": counted})
+            counted += 1
 
 
 if __name__ == "__main__":

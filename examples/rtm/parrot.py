@@ -12,6 +12,9 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 
 from uoarm.errors import UoarmError
@@ -19,7 +22,8 @@ from uoarm.errors import UoarmError
 
 def main(nameserver: str) -> None:
     """Talk until interrupted, or until the component is asked to exit."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     types = Types([str(Path(__file__).parent / "words.idl")])
     received: queue.Queue[Any] = queue.Queue(maxsize=100)
     with (

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
+import os
 import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import rclpy
 from rclpy.node import Node
@@ -15,9 +20,10 @@ from std_msgs.msg import String
 
 def main() -> None:
     """Print as many messages as the first argument says, with the name of this environment."""
-    left = int(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("left", type=int, help="how many")
+    left = parser.parse_args().left
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = Node("listener")
     name = Path(sys.prefix).name
 
@@ -27,6 +33,8 @@ def main() -> None:
         print(f"{name} received: {message.data}", flush=True)
 
     node.create_subscription(String, "/chatter", show, 10)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     with suppress(KeyboardInterrupt):
         while left > 0:
             rclpy.spin_once(node, timeout_sec=0.5)
@@ -35,4 +43,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)

@@ -15,6 +15,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 from uoarm import ResolutionError, RobotManager, UoarmError, environments
 
 HERE = Path(__file__).parent
@@ -78,10 +81,13 @@ def _node(version: str, *command: Path | str) -> Iterator[subprocess.Popen[bytes
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
         sys.exit(main())
     except KeyboardInterrupt:
         sys.exit(130)
     except UoarmError as failure:
         sys.exit(str(failure))
+    except BrokenPipeError:  # what it prints is read no more, as by `head`
+        os._exit(1)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
 from collections import deque
 from pathlib import Path
 from typing import Any
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from rich.console import Console
 from rich.live import Live
@@ -28,6 +32,8 @@ def main() -> int:
     parser.add_argument("--file", default=str(Path(__file__).with_name("robot.yaml")))
     given = parser.parse_args()
     try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
         with RobotManager.from_file(given.file) as robot, robot.request("pulseOximetry") as flow:
             plot(flow, time.monotonic() + given.seconds)
     except (UoarmError, TimeoutError) as error:

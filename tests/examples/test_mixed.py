@@ -37,6 +37,13 @@ def test_what_does_not_come_in_time_is_reported() -> None:
     assert "Traceback" not in done.stderr
 
 
+def test_a_part_that_ends_by_itself_is_not_waited_for(tmp_path: Path) -> None:
+    (tmp_path / "rclpy.py").write_text("raise ModuleNotFoundError(\"No module named 'rclpy'\")")
+    done = run_python(SCRIPT, "--patience", "1e9", env={"PYTHONPATH": str(tmp_path)})
+    why = "ModuleNotFoundError: No module named 'rclpy'"
+    assert (done.returncode, done.stderr) == (2, f"new camera ended with 1: {why}\n")
+
+
 def test_a_signal_ends_every_part() -> None:
     hold_ends_all(sys.executable, "-u", str(SCRIPT))
 

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.processes import run_python  # type: ignore[import-not-found]
+from tests.processes import hold_ends_unread, run_python  # type: ignore[import-not-found]
 
 from uoarm.testing import patience
 
@@ -36,3 +36,7 @@ def test_a_signal_ends_it_without_a_trace(tmp_path: Path) -> None:
         _, said = process.communicate(timeout=patience())
     assert (process.returncode, said) == (130, "")
     assert not list(tmp_path.iterdir())
+
+
+def test_it_ends_with_what_reads_it() -> None:
+    hold_ends_unread(sys.executable, str(VISIT), "--approve")

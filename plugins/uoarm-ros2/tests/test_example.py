@@ -14,6 +14,7 @@ from typing import IO
 
 import pytest
 from peers import own_line
+from tests.processes import hold_ends_unread, run_python  # type: ignore[import-not-found]
 
 from uoarm._control import RobotManager
 from uoarm.testing import patience
@@ -98,7 +99,15 @@ def test_a_camera_of_ros_feeds_python_which_feeds_ros(run: Run) -> None:
     chain = run(request)
     seen = lines(faces.stdout, 5)
     assert all(line.startswith("face at (") and "48 x 48" in line for line in seen)
+    hold_ends_unread(sys.executable, str(EXAMPLE / "listener.py"))
     assert interrupted(chain) == 130
+
+
+@pytest.mark.parametrize("name", ["talker", "listener"])
+def test_a_wrong_argument_is_refused(name: str) -> None:
+    done = run_python(EXAMPLE / f"{name}.py", "x")
+    assert done.returncode == 2
+    assert done.stderr.endswith(f"{name}.py: error: argument most: invalid int value: 'x'\n")
 
 
 def test_every_command_of_the_page_is_run_here() -> None:

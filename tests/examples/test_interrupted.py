@@ -1,0 +1,59 @@
+"""Ctrl-C and SIGTERM while a program of the examples imports what it uses."""
+
+from __future__ import annotations
+
+import ast
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.cli.test_interrupted import WAITING
+
+from uoarm.testing import patience
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+# Started by mixed.py, which keeps what they write.
+PARTS = {"mixed/ros1_camera.py", "mixed/sensor.py"}
+
+
+def programs() -> Iterator[tuple[str, str]]:
+    """Yield programs that a person starts, each with the first package that it imports."""
+    for file in sorted(EXAMPLES.glob("*/*.py")):
+        text = file.read_text(encoding="utf-8")
+        name = str(file.relative_to(EXAMPLES))
+        if "__main__" not in text or name in PARTS:
+            continue
+        for node in ast.parse(text).body:
+            modules = [node.module] if isinstance(node, ast.ImportFrom) else []
+            modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            packages = {str(module).partition(".")[0] for module in modules}
+            if foreign := packages - sys.stdlib_module_names:
+                yield name, foreign.pop()
+                break
+
+
+PROGRAMS = dict(programs())
+
+
+def test_programs_are_found() -> None:
+    assert {"agent/visit.py", "ros2/talker.py", "fleet/desk.py"} <= PROGRAMS.keys()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_signal_while_it_imports_ends_it_in_silence(
+    name: str, number: signal.Signals, tmp_path: Path
+) -> None:
+    (tmp_path / f"{PROGRAMS[name]}.py").write_text(WAITING)
+    pipe, env = subprocess.PIPE, {**os.environ, "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, str(EXAMPLES / name)]
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=env) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "it imports\n"
+        process.send_signal(number)
+        _, said = process.communicate(timeout=patience())
+    assert (process.returncode, said) == (-number, "")
