@@ -186,42 +186,29 @@ def test_what_is_too_long_or_no_message_is_left_out(tmp_path: Path, access: Path
         assert found["result"]["structuredContent"]["result"] == {"value": 3}
 
 
-@pytest.mark.parametrize(
-    ("line", "code", "reason"),
-    [
-        (b'{"jsonrpc": "2.0", "id": 1, "meth', -32700, "one message of JSON-RPC"),
-        (b"{}", -32600, "one message of JSON-RPC"),
-        (b'{"jsonrpc": "2.0", "id": 1, "method": "a\\ud800"}', -32700, "one message of JSON-RPC"),
-        (b'{"jsonrpc": "2.0", "id": 1, "method": "a", "params": {"a": NaN}}', -32600, "not JSON"),
-        (b"[" * 200, -32600, "nested more than 64 levels deep"),
-        (b"[" + b"0," * 510_000 + b"0]", -32600, "more than 500,000 values"),
-        (b"x" * 3_000_000, -32700, "1,048,576 octets at most"),
-        (b'{"jsonrpc": "2.0", "id": 1.5, "method": "ping"}', -32600, "string or a whole number"),
-        (b'{"jsonrpc": "2.0", "id": null, "method": "ping"}', -32600, "string or a whole number"),
-    ],
-    ids=[
-        "half",
-        "no message",
-        "half a character",
-        "NaN",
-        "deep",
-        "wide",
-        "long",
-        "real id",
-        "no id",
-    ],
+NO_MESSAGES = (
+    (b'{"jsonrpc": "2.0", "id": 1, "meth', -32700, "one message of JSON-RPC"),
+    (b"{}", -32600, "one message of JSON-RPC"),
+    (b'{"jsonrpc": "2.0", "id": 1, "method": "a\\ud800"}', -32700, "one message of JSON-RPC"),
+    (b'{"jsonrpc": "2.0", "id": 1, "method": "a", "params": {"a": NaN}}', -32600, "not JSON"),
+    (b"[" * 200, -32600, "nested more than 64 levels deep"),
+    (b"[" + b"0," * 510_000 + b"0]", -32600, "more than 500,000 values"),
+    (b"x" * 3_000_000, -32700, "1,048,576 octets at most"),
+    (b'{"jsonrpc": "2.0", "id": 1.5, "method": "ping"}', -32600, "string or a whole number"),
+    (b'{"jsonrpc": "2.0", "id": null, "method": "ping"}', -32600, "string or a whole number"),
 )
-def test_a_line_that_is_no_message_is_answered(
-    tmp_path: Path, access: Path, line: bytes, code: int, reason: str
-) -> None:
+
+
+def test_a_line_that_is_no_message_is_answered(tmp_path: Path, access: Path) -> None:
     with started(tmp_path, access) as (process, _):
         assert process.stdin is not None
-        process.stdin.write(line + b"\n")
-        ask(process, 7, {"a": 1, "b": 2})
-        found = answer(process)
-        assert (found["id"], found.get("error", {}).get("code")) == (None, code)
-        assert reason in found["error"]["message"]
-        assert answer(process)["id"] == 7
+        for number, (line, code, reason) in enumerate(NO_MESSAGES):
+            process.stdin.write(line + b"\n")
+            ask(process, number, {"a": 1, "b": 2})
+            found = answer(process)
+            assert (found["id"], found.get("error", {}).get("code")) == (None, code), line[:80]
+            assert reason in found["error"]["message"]
+            assert answer(process)["id"] == number
 
 
 def test_an_agent_that_reads_nothing_holds_up_no_person(tmp_path: Path, access: Path) -> None:
