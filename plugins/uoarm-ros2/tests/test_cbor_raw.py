@@ -6,22 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pytest
 from endpoints import Start
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from messages import MESSAGE_TYPES, messages_of, same
 from peers import OPTIONS
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
-from uoarm_ros2._conversion import reader, writer
-from uoarm_ros2._schema import structure_of
-from uoarm_ros2._types import import_type, shape_of
 from websockets.sync.client import connect
 
 from uoarm import RobotManager
 from uoarm._wire import read_binary
-from uoarm.cdr import Codec
 from uoarm.config import loads
 from uoarm.model import Budget, BudgetUse
 from uoarm.server import ServerOptions, serve_in_thread
@@ -39,22 +31,6 @@ functions:
         bridge: ros
         output: {{endpoint: [/raw/pictures, sensor_msgs/msg/Image]}}
 """
-
-
-@pytest.mark.parametrize("name", MESSAGE_TYPES)
-@settings(suppress_health_check=[HealthCheck.data_too_large, HealthCheck.too_slow])
-@given(data=st.data())
-def test_ros_2_reads_what_the_server_serialises(name: str, data: st.DataObject) -> None:
-    shape = shape_of(import_type(name), name)
-    message = data.draw(messages_of(shape))
-    codec = Codec(structure_of(shape))
-    serialised = codec.encode(message)
-    native: Any = deserialize_message(serialised, shape.native)
-    assert same(reader(shape)(native), message)
-    theirs: Any = deserialize_message(serialize_message(writer(shape)(message)), shape.native)
-    assert serialised == codec.encode(reader(shape)(theirs))
-    octets = bytes(serialize_message(writer(shape)(message)))
-    assert same(codec.decode(octets), message)
 
 
 def test_a_picture_of_ros_2_comes_out_as_ros_2_has_it(peer: Start) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import tracemalloc
-from array import array
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -157,89 +156,23 @@ def test_wrong_lengths_allocate_nothing() -> None:
                 assert peak < 1_500_000, (name, order, fill)
 
 
+TM = {"tm": {"sec": 1, "nsec": 2}}
+
+
 @pytest.mark.parametrize(
     ("name", "message", "words"),
     [
-        (
-            "TimedLong",
-            {"tm": {"sec": 1, "nsec": 2}, "data": 2**31},
-            r"\$\.data: expected -2147483648",
-        ),
-        (
-            "TimedLong",
-            {"tm": {"sec": 1, "nsec": 2}, "data": True},
-            r"\$\.data: expected an integer",
-        ),
-        ("TimedLong", {"tm": {"sec": 1, "nsec": 2}, "data": 1.5}, r"\$\.data: expected an integer"),
-        ("TimedLong", {"tm": {"sec": 1}, "data": 1}, r"\$\.tm: field 'nsec' is missing"),
-        (
-            "TimedLong",
-            {"tm": {"sec": 1, "nsec": 2, "x": 0}, "data": 1},
-            r"\$\.tm: there is no field 'x'",
-        ),
-        ("TimedLong", {"tm": 5, "data": 1}, r"\$\.tm: expected an object, got int 5"),
-        ("TimedLong", [], r"\$: expected an object"),
-        ("TimedDouble", {"tm": {"sec": 1, "nsec": 2}, "data": "1"}, r"\$\.data: expected a number"),
-        (
-            "TimedDouble",
-            {"tm": {"sec": 1, "nsec": 2}, "data": False},
-            r"\$\.data: expected a number",
-        ),
-        (
-            "TimedFloat",
-            {"tm": {"sec": 1, "nsec": 2}, "data": 1e39},
-            r"\$\.data: expected at most 3.4e38",
-        ),
-        (
-            "TimedBoolean",
-            {"tm": {"sec": 1, "nsec": 2}, "data": 1},
-            r"\$\.data: expected true or false",
-        ),
-        (
-            "TimedString",
-            {"tm": {"sec": 1, "nsec": 2}, "data": b"x"},
-            r"\$\.data: expected a string",
-        ),
-        (
-            "TimedString",
-            {"tm": {"sec": 1, "nsec": 2}, "data": "a\0b"},
-            r"\$\.data: expected a string without",
-        ),
+        ("TimedLong", {**TM, "data": 2**31}, r"\$\.data: expected -2147483648"),
+        ("TimedFloat", {**TM, "data": 1e39}, r"\$\.data: expected at most 3.4e38"),
+        ("TimedBoolean", {**TM, "data": 1}, r"\$\.data: expected true or false"),
+        ("TimedLongSeq", {**TM, "data": b"ab"}, r"\$\.data: expected an array of long"),
         (
             "TimedLongSeq",
-            {"tm": {"sec": 1, "nsec": 2}, "data": [1, 2, "x"]},
-            r"\$\.data\[2\]: expected",
-        ),
-        (
-            "TimedLongSeq",
-            {"tm": {"sec": 1, "nsec": 2}, "data": [1, 2**40]},
-            r"\$\.data\[1\]: expected",
-        ),
-        (
-            "TimedLongSeq",
-            {"tm": {"sec": 1, "nsec": 2}, "data": b"ab"},
-            r"\$\.data: expected an array of long",
-        ),
-        (
-            "TimedLongSeq",
-            {"tm": {"sec": 1, "nsec": 2}, "data": np.array([1, 2**40])},
-            r"\$\.data\[1\]: expected",
-        ),
-        (
-            "TimedLongSeq",
-            {"tm": {"sec": 1, "nsec": 2}, "data": np.array([1.0])},
+            {**TM, "data": np.array([1.0])},
             r"\$\.data: expected an array of long, got an array of float64",
         ),
-        (
-            "TimedStringSeq",
-            {"tm": {"sec": 1, "nsec": 2}, "data": ["a", 5]},
-            r"\$\.data\[1\]: expected",
-        ),
-        (
-            "GripperState",
-            {"tm": {"sec": 1, "nsec": 2}, "status": "OPEN"},
-            r"\$\.status: expected one of",
-        ),
+        ("TimedStringSeq", {**TM, "data": ["a", 5]}, r"\$\.data\[1\]: expected"),
+        ("GripperState", {**TM, "status": "OPEN"}, r"\$\.status: expected one of"),
         (
             "Odd/Bounded",
             {"few": [1, 2, 3, 4], "word": "", "words": []},
@@ -250,7 +183,6 @@ def test_wrong_lengths_allocate_nothing() -> None:
             {"few": [], "word": "12345", "words": []},
             r"\$\.word: expected at most 4 char",
         ),
-        ("Odd/ByMood", {"switch": "CALM", "shout": ""}, r"\$: field 'rest' is missing"),
         ("Odd/ByMood", {"switch": "SAD", "rest": 1.0}, r"switch: expected one of CALM, ANGRY"),
         ("Odd/ByNumber", {"switch": 1, "small": 256}, r"\$\.small: expected 0 to 255"),
     ],
@@ -274,27 +206,8 @@ def test_types_without_a_structure_are_refused_with_the_reason(name: str, words:
         codec(name)
 
 
-def test_buffers_pass_without_lists() -> None:
-    known = codec("TimedDoubleSeq")
-    values = np.arange(1000.0)
-    tm = {"sec": 1, "nsec": 2}
-    data = known.encode({"tm": tm, "data": values})
-    for same in (values.tolist(), tuple(values), array("d", values), values.astype(">f8")):
-        assert known.encode({"tm": tm, "data": same}) == data
-    read = known.decode(data)["data"]
-    assert isinstance(read, np.ndarray)
-    assert read.base is not None
-    assert codec("TimedDoubleSeq").encode({"tm": tm, "data": np.arange(3)[::-1]}) == known.encode(
-        {"tm": tm, "data": [2.0, 1.0, 0.0]}
-    )
-    octets = codec("TimedOctetSeq").decode(
-        codec("TimedOctetSeq").encode({"tm": tm, "data": b"abc"})
-    )
-    assert octets["data"] == b"abc"
-
-
 def test_texts_of_another_encoding_are_an_error_or_are_asked_for() -> None:
-    message = {"tm": {"sec": 1, "nsec": 2}, "data": "é"}
+    message = {**TM, "data": "é"}
     latin = Types(encoding="latin-1").codec("TimedString")
     assert latin.decode(latin.encode(message)) == message
     with pytest.raises(MessageError, match=r"\$\.data: not a text in utf-8"):
