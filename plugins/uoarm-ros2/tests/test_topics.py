@@ -552,6 +552,36 @@ def test_a_type_that_joins_later_is_an_event(bridge: Bridge, peer: Start) -> Non
     events.event(Health.OK, "carries std_msgs/msg/Int64 only")
 
 
+@pytest.mark.parametrize("other", ["type", "policies"])
+def test_what_is_wrong_still_beside_a_publisher_that_is_back_is_reported_still(
+    bridge: Bridge, peer: Start, other: str
+) -> None:
+    events = Inbox(bridge)
+    first, second = peer("first"), peer("second")
+    first.do("advertise", topic="/back")
+    at = endpoint(Role.OUTPUT, "/back", INT64, qos={"reliability": "reliable"}, peer="optional")
+    channel = source(bridge, at, print)
+    matched(channel, 1)
+    if other == "type":
+        second.do("subscribe", topic="/back", kind="String")
+    else:
+        second.do("advertise", topic="/back", reliability="best_effort")
+    words = "other types" if other == "type" else "incompatible QoS"
+    events.event(
+        Health.DEGRADED, f"refused: topic /back: {'it carries ' * (other == 'type')}{words}"
+    )
+    first.end()
+    events.event(Health.DEGRADED, "disconnected: topic /back: the last publisher is gone")
+    peer("third").do("advertise", topic="/back")
+    events.event(Health.OK, "a peer is connected")
+
+    def is_reported() -> bool:
+        last = [event for event in events.messages if event.channel is channel][-1]
+        return last.cause.startswith("refused") and words in last.cause
+
+    wait(is_reported, "what is wrong was covered up")
+
+
 def test_latched_messages_beside_a_volatile_publisher_are_reported_and_reachable(
     bridge: Bridge, peer: Start
 ) -> None:

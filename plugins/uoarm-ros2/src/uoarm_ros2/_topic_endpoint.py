@@ -254,7 +254,13 @@ class TopicEndpoint(ABC):
         if not current:
             self._clash_checks = _CLASH_TICKS  # those that are left may be the ones that clash
         gone = "" if current else f"the last {self.peer_word} is gone"
+        was_alone = not self._health.peers
         self._health.connected(current, gone)
+        if was_alone or not current:
+            # With the first peer, or the last, all is over that was wrong: what still is, is
+            # reported anew.
+            self._has_other_types, self._unreached = False, ""
+            self._clash_checks = max(self._clash_checks, int(self._clashing))
 
     def _own_definition(self) -> str:
         context = self._context
