@@ -389,6 +389,24 @@ functions:
                 played.append(connection.get(patience())["n"])
             assert played[-9:] == [*range(9)]
 
+    def test_what_is_pressed_stays_where_it_is_while_messages_come(
+        self, browser: Browser, visit: Visit, robot: RobotManager
+    ) -> None:
+        places = """JSON.stringify([...document.querySelectorAll('.panel button')].map((button) => {
+            const { x, y } = button.getBoundingClientRect();
+            return [button.textContent.trim(), x, y];
+        }))"""
+        with robot.request("then", queue=QueuePolicy(length=100, policy="block")):
+            visit("#/graph/function/then")
+            browser.until(says(".panel-body", "Kill"))
+            browser.until(says(".player", "0 ms of 8 s"))
+            before = browser.js(places)
+            for n in (0, 1):
+                browser.click(".player button", "Step")
+                browser.until(says(".panel .facts", f"received\n{n + 1}"))
+            browser.until(says(".player", "1 s of 8 s"))
+            assert browser.js(places) == before
+
     def test_it_is_seen_everywhere_that_this_was_recorded(
         self, browser: Browser, visit: Visit
     ) -> None:

@@ -58,7 +58,7 @@ const Part = ({ row }) => html`
       ["priority", String(row.priority)],
       ["takes from", (row.uses ?? []).join(", ")],
       ["rate", row.open ? rate(row.rate) : ""],
-      ["last message", row.open && row.age !== null ? `${span(row.age)} ago` : ""],
+      ["last message", row.open ? lastMessage(row.age) : ""],
       ["received", row.open ? short(row.received) : ""],
       ["dropped", row.lost ? short(row.lost) : ""],
       ["invalid", row.invalid ? short(row.invalid) : ""],
@@ -68,6 +68,9 @@ const Part = ({ row }) => html`
     ]} />
     ${row.cause && html`<${Notice} kind="bad" title="Cause">${row.cause}</${Notice}>`}
     ${row.error && html`<${Notice} kind="warn" title="Last error">${row.error}</${Notice}>`}</li>`;
+
+/** In words before the first one, too: a line that came with it would move what is pressed below. */
+const lastMessage = (age) => (age === null ? "none yet" : `${span(age)} ago`);
 
 /** What an input that moves something does, and who commands it. */
 function command({ phase, left, lease }) {
@@ -90,7 +93,7 @@ function ConnectionPanel({ store, panel }) {
       <div class="part-head"><b>${route.producer}</b><span>→ ${route.consumer}</span>
         <span class="push">${rate(route.rate)}</span></div>
       <${Facts} of=${[["received", short(route.received)], ["delivered", short(route.delivered)],
-        ["last message", route.age === null ? "none yet" : `${span(route.age)} ago`],
+        ["last message", lastMessage(route.age)],
         ["dropped", route.dropped.map(([why, count]) => `${short(count)} ${why}`).join(", ")],
         ["invalid", route.invalid ? short(route.invalid) : ""]]} />
       ${route.last_error && html`<${Notice} kind="warn" title="Last error">${route.last_error}</${Notice}>`}
