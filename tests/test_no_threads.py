@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from tests.no_threads import no_threads
 
 from uoarm import RobotManager
 from uoarm._control.live.listeners import EventDispatcher
@@ -16,23 +15,15 @@ from uoarm._renewal import renewed
 from uoarm._support.workers import Timer
 from uoarm.bridge import ServedRequests
 from uoarm.bridge._watchdog import Watchdog
+from uoarm.cli._announce import Announcement
 from uoarm.config import loads
 from uoarm.local._loop import LoopThread
 from uoarm.model import CommandPhase, CommandPolicy, Health, Message, QueuePolicy, StopMessage
-from uoarm.testing import ManualClock, MemoryBridge, patience, wait
+from uoarm.server import ServerOptions, serve_in_thread
+from uoarm.testing import ManualClock, MemoryBridge, ResourceSnapshot, patience, wait
 
 NUMBER = {"type": "integer"}
 POLICY = CommandPolicy(3600.0, StopMessage(0))
-
-
-@contextmanager
-def no_threads() -> Iterator[None]:
-    def start(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(threading.Thread, "start", start)
-        yield
 
 
 def test_no_command_passes_that_no_thread_would_stop() -> None:
@@ -121,6 +112,26 @@ def test_a_message_fails_and_the_next_one_is_handed_over() -> None:
     wait(lambda: taken == [2])
     route.close()
     assert route.status().dropped == (("failed", 1),)
+
+
+def test_a_server_without_a_thread_leaves_nothing_open() -> None:
+    with RobotManager(loads(MOTORS), bridges={"one": MemoryBridge("one", {})}) as robot:
+        options, before = ServerOptions(port=0), ResourceSnapshot()
+        refused = pytest.raises(RuntimeError, match="new thread")
+        with no_threads("uoarm-serve"), refused, serve_in_thread(robot, options):
+            pass
+        before.check()
+        with serve_in_thread(robot, options) as server:
+            assert server.ports
+
+
+def test_a_server_is_not_announced_where_there_is_no_thread(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("zeroconf")
+    with Announcement("0" * 32, ServerOptions(host="0.0.0.0")) as announcement, no_threads():
+        announcement.start(9081)
+    assert "not announced: can't start new thread" in capsys.readouterr().err
 
 
 def test_coroutines_run_in_the_loop_that_began_later() -> None:

@@ -18,6 +18,7 @@ import attrs
 import pytest
 from mcap.reader import make_reader
 from tests.disk import full_after
+from tests.no_threads import no_threads
 from tests.record.conftest import COUNT, OCTETS, PICTURE, ROBOT, messages, of_topic, readable
 from tests.structures import closed
 
@@ -658,18 +659,11 @@ def hang_writer(recording: Recording) -> Hang:
 
 
 def test_a_recording_that_finds_no_thread_leaves_nothing_open(
-    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
 ) -> None:
     bridge.emitter("clicks", COUNT)
-    robot, start = make_robot(), threading.Thread.start
-
-    def refuse(thread: threading.Thread) -> None:
-        if thread.name == "uoarm-recording":
-            raise RuntimeError("can't start new thread")
-        start(thread)
-
-    monkeypatch.setattr(threading.Thread, "start", refuse)
-    with pytest.raises(RuntimeError, match="new thread"):
+    robot = make_robot()
+    with no_threads("uoarm-recording"), pytest.raises(RuntimeError, match="new thread"):
         robot.record("counter", path=tmp_path / "run.mcap")
     assert robot.connections() == ()
     assert list(tmp_path.iterdir()) == []

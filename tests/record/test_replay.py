@@ -6,7 +6,6 @@ import hashlib
 import json
 import re
 import sqlite3
-import threading
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
@@ -16,6 +15,7 @@ from typing import Any
 
 import pytest
 from mcap.writer import CompressionType, IndexType, Writer
+from tests.no_threads import no_threads
 from tests.record.conftest import COUNT, PICTURE
 
 from uoarm import RobotManager
@@ -671,16 +671,26 @@ def test_what_fails_in_playing_is_a_loss(tape: Path, monkeypatch: pytest.MonkeyP
     ]
 
 
-def test_a_part_for_which_there_is_no_thread_is_read_by_who_wants_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def refuse(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
+def test_steps_wait_for_no_channel_for_which_there_was_no_thread(tape: Path) -> None:
+    made = RecordingBridge("tape", PlaybackOptions.of({"file": str(tape), "paused": True}))
+    endpoint, structure = (
+        Endpoint("tape", "run", Role.OUTPUT, ("/counter",)),
+        MessageStructure(COUNT),
+    )
+    with closing(made):
+        with no_threads("tape-recording"), pytest.raises(BridgeError, match="new thread"):
+            made.open_source(endpoint, structure, pytest.fail)
+        assert not made.playback._readers
+        came = Collector()
+        with closing(made.open_source(endpoint, structure, came)):
+            made.playback.step()
+            wait(lambda: len(came.messages) == 1)
 
+
+def test_a_part_for_which_there_is_no_thread_is_read_by_who_wants_it() -> None:
     found: Any = ({}, ())
     part: Any = SimpleNamespace(at=0, octets=1)
     cache = _reading._PartCache(lambda *_, **__: found)
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", refuse)
+    with no_threads():
         cache.prepare(part)
     assert Background(lambda: cache.get(part)).result() == found

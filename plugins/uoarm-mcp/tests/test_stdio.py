@@ -23,15 +23,30 @@ from click.testing import CliRunner
 from components import CONFIGURATION
 from mcp.client.client import Client
 from mcp.client.stdio import StdioServerParameters, stdio_client
+from tests.no_threads import no_threads  # type: ignore[import-not-found]
 from uoarm_mcp import _command
+from uoarm_mcp._command import serve_stdio
 
+from uoarm import RobotManager
 from uoarm.cli import main
 from uoarm.client import connect
+from uoarm.config import loads
 from uoarm.model import Budget
-from uoarm.server import fingerprint_of
-from uoarm.testing import patience, wait
+from uoarm.server import ServerOptions, fingerprint_of
+from uoarm.testing import ResourceSnapshot, patience, wait
 
 FOLDER = Path(__file__).parent
+
+
+def test_an_agent_for_whose_lines_there_is_no_thread_leaves_nothing() -> None:
+    ends = *os.pipe(), *os.pipe()
+    wire, before = (ends[0], ends[3]), ResourceSnapshot()
+    robot = RobotManager(loads("{version: 1, bridges: {}, functions: {}}"))
+    with robot, no_threads("uoarm-mcp-stdin"), pytest.raises(RuntimeError, match="new thread"):
+        asyncio.run(serve_stdio(wire, robot, ServerOptions(port=0), "", lambda _: None))
+    before.check()
+    for end in ends:
+        os.close(end)
 
 
 async def _with(

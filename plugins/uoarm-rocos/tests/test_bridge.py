@@ -13,6 +13,7 @@ import uoarm_rocos
 from attrs import evolve
 from lines import LIMIT
 from rigs import Events, bridged, endpoint, served
+from tests.no_threads import no_threads  # type: ignore[import-not-found]
 from uoarm_rocos import _bridge
 from uoarm_rocos._catalogue import DeviceCatalogue
 from uoarm_rocos._device import Device
@@ -35,23 +36,13 @@ def robot(request: pytest.FixtureRequest) -> Iterator[tuple[Bridge, Events]]:
         yield made
 
 
-def test_a_device_for_which_there_is_no_thread_leaves_none(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    starts = threading.Thread.start
-
-    def start(thread: threading.Thread) -> None:
-        if thread.name == "uoarm-robot":
-            raise RuntimeError("can't start new thread")
-        starts(thread)
-
+def test_a_device_for_which_there_is_no_thread_leaves_none() -> None:
     profile: dict[str, object] = {"url": "tcp://127.0.0.1:1"}
     for options in (profile, {**profile, "driver": "nonin-2"}):
         before = ResourceSnapshot()
-        with bridged(robot=options) as (bridge, _), monkeypatch.context() as patch:
-            patch.setattr(threading.Thread, "start", start)
-            with pytest.raises(BridgeError, match="can't start new thread"):
-                bridge.describe(endpoint("robot", "odometry"))
+        refused = pytest.raises(BridgeError, match="can't start new thread")
+        with bridged(robot=options) as (bridge, _), no_threads("uoarm-robot"), refused:
+            bridge.describe(endpoint("robot", "odometry"))
         before.check()
 
 

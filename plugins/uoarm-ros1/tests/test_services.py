@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from typing import Any
 
 import pytest
 from endpoints import bridge_to, input_, output, service
 from peers import Master, Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
+from tests.no_threads import no_threads  # type: ignore[import-not-found]
 from uoarm_ros1 import _bridge, _master, _node, _subscription
 from uoarm_ros1._master import call_api
 
@@ -93,25 +93,10 @@ class Quits(dict[str, Any]):
     __getitem__ = __iter__ = items  # type: ignore[assignment]
 
 
-@contextmanager
-def no_thread(name: str) -> Iterator[None]:
-    """Have the system give no thread of this name, or one that begins like it."""
-    starts = threading.Thread.start
-
-    def start(thread: threading.Thread) -> None:
-        if thread.name.startswith(name):
-            raise RuntimeError("can't start new thread")
-        starts(thread)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(threading.Thread, "start", start)
-        yield
-
-
 def test_what_gets_no_thread_is_refused_and_leaves_nothing(master: Master, lasting: Peer) -> None:
     before = ResourceSnapshot()
     refused = pytest.raises(BridgeError, match="can't start new thread")
-    with no_thread("uoarm-ros1-watch"), refused, bridge_to(master):
+    with no_threads("uoarm-ros1-watch"), refused, bridge_to(master):
         pass
     before.check()
     lasting.do("advertise", topic="/threads", type="std_msgs/String")
@@ -119,14 +104,14 @@ def test_what_gets_no_thread_is_refused_and_leaves_nothing(master: Master, lasti
         at, inbox = output("/threads"), Collector()
         structure = bridge.describe(at).message
         assert structure is not None
-        with no_thread("uoarm-ros1-/threads"), refused:
+        with no_threads("uoarm-ros1-/threads"), refused:
             bridge.open_source(at, structure, inbox)
         with closing(bridge.open_source(at, structure, inbox)):
             lasting.publish("/threads", type="std_msgs/String", values={"data": "x"})
             inbox.wait(1, patience())
         structures = ServiceStructures(MessageStructure({}), MessageStructure({}))
         channel = bridge.serve(service("/threaded", SET), lambda message: message, structures)
-        with no_thread("uoarm-ros1-/threaded"), pytest.raises(BridgeError):
+        with no_threads("uoarm-ros1-/threaded"), pytest.raises(BridgeError):
             bridge.call(service("/threaded"), {"data": True}, timeout=patience())
         assert channel.facts()["clients"] == 0
 

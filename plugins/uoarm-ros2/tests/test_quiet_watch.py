@@ -9,6 +9,7 @@ import pytest
 from endpoints import Start
 from peers import DOMAIN
 from tests.inbox import Inbox  # type: ignore[import-not-found]
+from tests.no_threads import no_threads  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner, Participant, _loop
 from uoarm_ros2._qos import Policies
 from uoarm_ros2._schema import structure_of
@@ -50,6 +51,26 @@ class Ear:
     @property
     def is_quiet(self) -> bool:
         return self.entity.is_quiet and all(event.is_quiet for event in self.events)
+
+
+def test_a_watch_for_which_there_is_no_thread_begins_later(
+    runner: NodeRunner, peer: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_loop, "_FEW", 2)
+    monkeypatch.setattr(_loop, "_QUIET_SECONDS", 0.0)
+    failures: list[str] = []
+    monkeypatch.setattr(runner._records, "write", lambda _, text, error: failures.append(text))
+    with no_threads("quiet"):
+        ears = {topic: Ear(runner, topic) for topic in TOPICS}
+        wait(lambda: failures and all(ear.is_quiet for ear in ears.values()))
+    talker = peer("talker")
+    for topic in TOPICS:
+        talker.do("advertise", topic=topic)
+    wait(lambda: all(ear.matched == 1 for ear in ears.values()))
+    for topic in TOPICS:
+        talker.do("publish", topic=topic, first=1, count=1)
+    for ear in ears.values():
+        ear.inbox.wait_for(1)
 
 
 def test_a_quiet_subscription_receives_and_is_quiet_again(

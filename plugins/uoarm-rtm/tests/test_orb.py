@@ -6,6 +6,7 @@ import contextlib
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -14,9 +15,11 @@ from typing import Any
 import omniORB
 import pytest
 from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
+from tests.no_threads import no_threads  # type: ignore[import-not-found]
 from tests.processes import ForkedProgram, run_python  # type: ignore[import-not-found]
 from uoarm_rtm import _orb
 from uoarm_rtm._orb import Orb, deliveries
+from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
@@ -161,41 +164,37 @@ def test_a_call_that_did_not_come_back_in_time_is_not_waited_for_again() -> None
 
 @pytest.mark.parametrize("kind", ["end", "watch"])
 def test_a_bridge_for_which_there_is_no_thread_leaves_no_orb(
-    kind: str, make_bridge: Callable[..., Bridge], monkeypatch: pytest.MonkeyPatch
+    kind: str, make_bridge: Callable[..., Bridge]
 ) -> None:
-    starts = threading.Thread.start
-
-    def start(thread: threading.Thread) -> None:
-        if thread.name == f"uoarm-rtm-{kind}":
-            raise RuntimeError("can't start new thread")
-        starts(thread)
-
     assert _orb._shared.users == 0
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", start)
-        with pytest.raises(BridgeError, match="thread"):
-            make_bridge()
+    with no_threads(f"uoarm-rtm-{kind}"), pytest.raises(BridgeError, match="thread"):
+        make_bridge()
     assert _orb._shared.users == 0
     bridge = make_bridge()
     running = _orb._shared.running
     assert running is not None
     assert running.ending is not None, "it is taken for the application's own"
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", start)
+    with no_threads(f"uoarm-rtm-{kind}"):
         bridge.close(timeout=patience())
     wait(lambda: omniORB.orb is None)
 
 
-def test_a_bridge_closes_where_no_thread_is_left_for_its_servants(
-    make_bridge: Callable[..., Bridge], monkeypatch: pytest.MonkeyPatch
+def test_a_naming_service_for_which_there_is_no_thread_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def refuse(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with no_threads("uoarm-rtm-names"), pytest.raises(BridgeError, match="start new thread"):
+        NameServer()
+    assert not list(tmp_path.iterdir())
+    NameServer().close()
 
+
+def test_a_bridge_closes_where_no_thread_is_left_for_its_servants(
+    make_bridge: Callable[..., Bridge],
+) -> None:
     first, _ = make_bridge("one"), make_bridge("two")
     shared: Any = first
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", refuse)
+    with no_threads():
         shared._orb.close()
     with pytest.raises(BridgeError):  # they are gone
         shared._orb.serve(Inlet())

@@ -74,10 +74,15 @@ class Announcement:
 
         What keeps it from being announced is a warning: the server does without.
         """
-        self._thread = threading.Thread(
+        thread = threading.Thread(
             target=self._run, args=(port,), name="uoarm-announce", daemon=True
         )
-        self._thread.start()
+        try:
+            thread.start()
+        except RuntimeError as error:  # the system gives no more threads
+            print_warning(f"not announced: {error}")
+        else:
+            self._thread = thread
 
     def _run(self, port: int) -> None:
         from zeroconf import Zeroconf  # noqa: PLC0415 - of an extra

@@ -11,6 +11,7 @@ from typing import Any
 
 from attrs import evolve
 
+from uoarm._raised import on_failure
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -200,7 +201,8 @@ class _RecordedSource(Source):
         self._thread = threading.Thread(
             target=self._run, name=f"uoarm-{bridge.name}-recording", daemon=True
         )
-        self._thread.start()
+        with on_failure(self._playback.end, self):  # the system gives no more threads
+            self._thread.start()
 
     def facts(self) -> Mapping[str, object]:
         """Return what is played and where it is."""

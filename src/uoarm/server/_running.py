@@ -25,7 +25,7 @@ from uoarm._arguments import arguments
 from uoarm._control import RobotManager
 from uoarm._forks import at_exit, default_in_children
 from uoarm._interrupts import Uninterrupted, handlers_kept
-from uoarm._raised import ContainedError, LimitedLog, Log, foreign
+from uoarm._raised import ContainedError, LimitedLog, Log, foreign, on_failure
 from uoarm._support.aio_deadlines import result_within
 from uoarm._support.process_tuning import keep_memory, short_switch_interval
 from uoarm._support.workers import WorkerExecutor
@@ -188,9 +188,12 @@ def serve_in_thread(
         await stop.wait()
         await server.stop()
 
-    work = functools.partial(_run_loop, loop, serve())
+    def work() -> None:
+        _run_loop(loop, serve())  # no coroutine stands where there is no thread
+
     thread = threading.Thread(target=work, name="uoarm-serve", daemon=True)
-    thread.start()
+    with on_failure(loop.close):
+        thread.start()
     try:
         # Twice as long as the start has: a front end that hangs keeps the loop from ending it.
         if not started.wait(2 * _START_SECONDS):

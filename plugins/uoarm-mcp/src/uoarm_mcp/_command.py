@@ -29,6 +29,7 @@ from mcp_types import (
 from pydantic import ValidationError
 
 from uoarm import RobotManager
+from uoarm.bridge import on_failure
 from uoarm.errors import CommandLineError, ControlMessageError, ListenError
 from uoarm.model import Budget, BudgetUse, scan_json
 from uoarm.plugins import Command, CommandParser, hookimpl
@@ -171,7 +172,8 @@ async def serve_stdio(
             server.backend, Discoveries(server.backend), version("uoarm-mcp"), client
         )
         written = _OutputLines(outgoing)
-        lines = _InputLines(incoming, _budget(server.backend.limits), written)
+        with on_failure(written.drain):
+            lines = _InputLines(incoming, _budget(server.backend.limits), written)
         for number in (signal.SIGTERM, signal.SIGINT):
             # As if the client had closed its end: what is under way ends in the same way.
             loop.add_signal_handler(number, lines.end)

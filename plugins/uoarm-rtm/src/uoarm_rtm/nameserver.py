@@ -129,8 +129,12 @@ def _start(command: tuple[str, ...]) -> subprocess.Popen[bytes]:
             started.put(process)
             process.wait()  # as it would end with this thread
 
-    threading.Thread(target=run, name="uoarm-rtm-names", daemon=True).start()
-    process = started.get()
+    process: subprocess.Popen[bytes] | Exception
+    try:
+        threading.Thread(target=run, name="uoarm-rtm-names", daemon=True).start()
+        process = started.get()
+    except RuntimeError as error:  # the system gives no more threads
+        process = error
     if isinstance(process, Exception):
         text = f"omniNames cannot be started: {process}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from process

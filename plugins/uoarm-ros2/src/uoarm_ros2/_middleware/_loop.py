@@ -294,7 +294,11 @@ class WaitLoop:
         for wait_set in before:
             if wait_set is not None:
                 wait_set.close()
-        self._quiet_watch.watch([entity for entity in every if entity.is_quiet])
+        try:
+            self._quiet_watch.watch([entity for entity in every if entity.is_quiet])
+        except RuntimeError:  # the system gives no more threads: it is tried again
+            self._changed, self._build_due = True, time.monotonic() + _CALM_SECONDS
+            raise
 
     def _take(self, entity: Entity, most: int) -> bool:
         """Take what an entity has, so much at most, so that the others have their turn.
