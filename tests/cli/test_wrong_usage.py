@@ -76,6 +76,42 @@ def test_other_wrong_words_have_one_too(words: tuple[str, ...]) -> None:
     assert done.stderr.splitlines()[-1] == "uoarm explain UOA-002 says more"
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("status --bridges --watch", "give --bridges or --watch, not both"),
+        ("status --all --url ws://127.0.0.1:1/", "give --all or --url, not both"),
+        ("list lab.yaml --url ws://127.0.0.1:1/", "give FILE or --url, not both"),
+        ("call lab.yaml arm 1 --url ws://127.0.0.1:1/", "give FILE or --url, not both"),
+        ("request camera -f lab.yaml --url ws://127.0.0.1:1/", "give --file or --url, not both"),
+        ("types --python --typescript", "give --python or --typescript, not both"),
+        ("explain UOA-101 --markdown", "give CODE or --markdown, not both"),
+        ("explain --json --markdown", "give --json or --markdown, not both"),
+        ("apply lab.yaml --rollback 1", "give FILE or --rollback, not both"),
+        ("doctor lab.yaml --service", "give FILE or --service, not both"),
+        ("doctor --unit robot", "--unit belongs to --service, which is missing"),
+        ("lock --format json", "--format belongs to --check, which is missing"),
+        ("lock --check --against . --environment one", "give --against or --environment, not both"),
+        ("check --strict", "--strict belongs to --recording, which is missing"),
+        ("host arm --xmlrpc 0 --machine hand", "--machine belongs to --join, which is missing"),
+        (
+            "serve --front-end-port rosbridge=9090 --rosbridge-port 9091",
+            "a front end has one further port, and is given two",
+        ),
+    ],
+)
+def test_an_option_that_would_do_nothing_beside_another_is_refused(words: str, said: str) -> None:
+    done = CliRunner().invoke(main, words.split())
+    assert (done.exit_code, f"error: {said}\n" in done.stderr) == (2, True), done.stderr
+
+
+def test_the_file_of_the_variable_stands_beside_a_server() -> None:
+    done = CliRunner(env={"UOARM_CONFIG": "lab.yaml"}).invoke(
+        main, ["list", "--url", "ws://127.0.0.1:1/"]
+    )
+    assert done.exit_code == 4, done.stderr
+
+
 def test_the_variable_of_the_log_has_one_too() -> None:
     done = CliRunner(env={"UOARM_LOG": "loud"}).invoke(main, ["list"])
     assert (done.exit_code, done.stderr.splitlines()[-1]) == (

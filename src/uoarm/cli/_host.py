@@ -14,7 +14,7 @@ from uoarm._forks import default_in_children
 from uoarm._interrupts import wait_for
 from uoarm.bridge import Registry
 from uoarm.cli._output import at_least, echo
-from uoarm.cli._shared import Seconds, needing, reporting, takes_configuration
+from uoarm.cli._shared import Seconds, hold_apart, hold_to, needing, reporting, takes_configuration
 from uoarm.config import load
 from uoarm.errors import CommandLineError
 from uoarm.model import Component, Endpoint, place_problem
@@ -64,6 +64,8 @@ def host(
     this machine, or those that are named. With --xmlrpc, answer what one bridge knows of its
     components to tools on this machine.
     """
+    hold_to("--join", "--machine", "--certificates", "--modules", "--silence")
+    hold_apart("--file", "--join")
     with reporting():
         if place is not None and machine is not None and port is None:
             _join(place, machine, bridges, certificates, modules, silence)

@@ -36,6 +36,8 @@ from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     CONFIGURATION_ENDINGS,
     REFUSED,
+    hold_apart,
+    hold_to,
     print_warning,
     reporting,
     takes_configuration,
@@ -187,10 +189,8 @@ def lock(
     Exit codes: 0 written, or everything still fits; 1 a function has no plan, or something does not
     fit as it is; 3 a file cannot be read or written; 4 a bridge failed, or no such environment.
     """
-    if not check and (against is not None or environment is not None):
-        raise click.UsageError("--against and --environment belong to --check")
-    if against is not None and environment is not None:
-        raise click.UsageError("say --against or --environment, one of them")
+    hold_to("--check", "--against", "--environment", "--format")
+    hold_apart("--against", "--environment")
     with reporting():
         place = _beside(file) if path is None else Path(path)
         if not check:
@@ -274,12 +274,12 @@ _WRITERS = {
 
 @click.command()
 @takes_configuration()
-@click.option("--python", "form", flag_value="python", help="A module of TypedDicts.")
-@click.option("--typescript", "form", flag_value="typescript", help="Declarations for uoarm.js.")
-@click.option("--jsonschema", "form", flag_value="jsonschema", help="One schema with $defs.")
+@click.option("--python", is_flag=True, help="A module of TypedDicts.")
+@click.option("--typescript", is_flag=True, help="Declarations for uoarm.js.")
+@click.option("--jsonschema", is_flag=True, help="One schema with $defs.")
 @click.option("--lock", "path", help="The lock's file, which must be there.  [robot.lock if any]")
 @click.option("-o", "--output", type=click.Path(dir_okay=False), help="Write this file instead.")
-def types(file: str, form: str | None, path: str | None, output: str | None) -> None:
+def types(file: str, path: str | None, output: str | None, **forms: bool) -> None:
     """Write the types of what functions give and take.
 
     They are those of the lock beside the configuration; where there is none, of the structures that
@@ -288,6 +288,8 @@ def types(file: str, form: str | None, path: str | None, output: str | None) -> 
     Exit codes: 0 written; 1 written, but a function has no plan, and so no types; 3 a file cannot
     be read or written; 4 a bridge failed.
     """
+    hold_apart("--python", "--typescript", "--jsonschema")
+    form = next((name for name, is_asked in forms.items() if is_asked), None)
     if form is None:
         raise click.UsageError("say which: --python, --typescript or --jsonschema")
     with reporting():

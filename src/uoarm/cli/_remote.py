@@ -20,6 +20,7 @@ from uoarm.cli._output import UNWRITTEN, echo, styled
 from uoarm.cli._shared import (
     BRIDGE,
     fail,
+    hold_apart,
     is_address,
     json_option,
     needing,
@@ -98,6 +99,9 @@ def remote_options(*, always: bool) -> Callable[[_Command], _Command]:
     def add(command: _Command) -> _Command:
         @functools.wraps(command)
         def with_server(*arguments: Any, **options: Any) -> Any:
+            if not always:
+                hold_apart("FILE", "--url")
+                hold_apart("--file", "--url")
             given = {name: options.pop(name) for name in fields_dict(Remote)}
             server = None if given["url"] is None else _checked(Remote(**given))
             return command(*arguments, server=server, **options)
@@ -222,6 +226,8 @@ def apply(
     applied, 1 another revision is in force or the robot's file has been changed meanwhile, 3 the
     file has mistakes or connections would end, 4 the server cannot be reached or refused.
     """
+    hold_apart("FILE", "--rollback")
+    hold_apart("--file", "--rollback")
     if reload_code and rollback is not None:
         raise click.UsageError("--rollback keeps the code as it is: leave --reload-code out")
     text = text_of_file(file, _MOST_OCTETS) if rollback is None else ""

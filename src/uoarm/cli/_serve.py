@@ -149,9 +149,11 @@ def serve(
     Endpoints: / speaks the native protocol, and each installed front end has its own: /rosbridge
     speaks rosbridge v2. /healthz and /metrics answer over HTTP.
     """
-    ports = dict(front_end_ports)
     if rosbridge_port is not None:
-        ports["rosbridge"] = rosbridge_port
+        front_end_ports.append(("rosbridge", rosbridge_port))
+    ports = dict(front_end_ports)
+    if len(ports) < len(front_end_ports):
+        raise click.UsageError("a front end has one further port, and is given two")
     stop_file = stop_file_of(file)
     with stop_signals() as use, exporting(otlp), open_robot(file, stop_file) as manager:
         use(manager)  # before anything is opened: what is may move at once

@@ -384,6 +384,42 @@ def fitted(text: str) -> str:
     return "\n".join(lines)
 
 
+def hold_apart(*words: str) -> None:
+    """Refuse options and arguments of which one would do nothing beside another.
+
+    Args:
+        words: as they are written: `--watch`, `FILE`.
+
+    Raises:
+        click.UsageError: more than one of them was given to the command that runs.
+    """
+    given = _given(words)
+    if len(given) > 1:
+        raise click.UsageError(f"give {given[0]} or {given[1]}, not both")
+
+
+def hold_to(leading: str, *words: str) -> None:
+    """Refuse options that would do nothing without another one.
+
+    Raises:
+        click.UsageError: one of them was given to the command that runs, without the leading one.
+    """
+    given = _given(words)
+    if given and not _given([leading]):
+        raise click.UsageError(f"{given[0]} belongs to {leading}, which is missing")
+
+
+def _given(words: Sequence[str]) -> list[str]:
+    context = click.get_current_context()
+    given = {
+        word
+        for parameter in context.command.params
+        if context.get_parameter_source(parameter.name or "") is ParameterSource.COMMANDLINE
+        for word in (*parameter.opts, parameter.human_readable_name.strip("[]"))
+    }
+    return [word for word in words if word in given]
+
+
 class DefaultConfiguration(Enum):
     """Which configuration a command takes where none is named; the value is said in its help."""
 

@@ -28,6 +28,8 @@ from uoarm.cli._shared import (
     Seconds,
     fail,
     function_argument,
+    hold_apart,
+    hold_to,
     json_option,
     needing,
     open_robot,
@@ -71,8 +73,7 @@ def check(file: str, *, recordings: tuple[Path, ...], is_strict: bool, as_json: 
     does not fit, or nothing could be checked; with --strict also where a channel was not, or a part
     of the file cannot be read.
     """
-    if is_strict and not recordings:
-        raise click.UsageError("--strict goes with --recording")
+    hold_to("--recording", "--strict")
     if recordings:
         from uoarm.cli._record import check_against  # noqa: PLC0415 - needs an extra
 
@@ -231,6 +232,9 @@ def doctor(*, file: str | None, is_service: bool, unit: str, as_json: bool) -> N
     With --service: what of an installed service does not hold. Looked at are its user, the rights
     of its files and secrets, ports, watchdog and bounds. Exit code 4 where it would not run safely.
     """
+    hold_to("--service", "--unit")
+    hold_apart("FILE", "--service")
+    hold_apart("--file", "--service")
     if is_service:
         _examine_service(unit, as_json=as_json)
         return
@@ -376,6 +380,8 @@ def explain(code: str | None, *, markdown: bool, as_json: bool) -> None:
     """
     from uoarm import error_codes  # noqa: PLC0415 - when first needed
 
+    hold_apart("CODE", "--markdown")
+    hold_apart("--json", "--markdown")
     try:
         entry = None if code is None else error_codes.explain(code)
     except UsageError as error:

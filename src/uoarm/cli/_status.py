@@ -27,6 +27,7 @@ from uoarm.cli._shared import (
     STANDARD,
     every_option,
     fitted,
+    hold_apart,
     json_option,
     open_robot,
     print_json,
@@ -188,6 +189,8 @@ def status(
     installed; exit code 4 when none is reachable. With --all, show the live status of each other
     manager that the file imports from, as `uoarm fleet` does.
     """
+    hold_apart("--all", "--bridges", "--watch")
+    hold_apart("--all", "--bridges", "--url")
     if managers:
         group = context.find_root().command
         assert isinstance(group, click.Group), "it is `uoarm`"
