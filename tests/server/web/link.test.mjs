@@ -130,6 +130,16 @@ test("a limit that no timer can have is none", async (context) => {
   robot.close();
 });
 
+test("what is no URL is an error of ours, without the token", async () => {
+  class Refusing {
+    constructor(url) {
+      throw new DOMException(`The URL '${url}' is invalid.`, "SyntaxError");
+    }
+  }
+  const message = /^http\/\/\?token=\*\*\*: expected a URL such as ws:/;
+  await assert.rejects(connect("http//?token=secret", { WebSocket: Refusing }), { name: "UoarmError", code: "usage", message });
+});
+
 test("what is no number of seconds is refused, and is no time that has run out", async () => {
   const usage = (name) => ({ code: "usage", message: new RegExp(`^${name}: expected a number of seconds, got `) });
   for (const name of ["timeout", "reconnect", "answer"]) {

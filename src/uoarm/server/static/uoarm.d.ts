@@ -61,7 +61,10 @@ export class Stream<T = Message> implements AsyncIterable<T> {
   get(options?: { timeout?: number }): Promise<T | undefined>;
   /** Seconds for which a command lives, by input; of those that have a lifetime. */
   readonly lifetimes: Readonly<Record<string, number>>;
-  /** Hand one message to an input; resolves when the server has taken it. */
+  /**
+   * Hand one message to an input; resolves when the server has taken it. Where the connection drops
+   * it waits for the session to go on, as long as the server keeps that.
+   */
   send(message: Message, input?: string, options?: { takeOver?: boolean }): Promise<void>;
   /** Have an input stopped, and give its lease back; what waits of it is discarded. */
   stop(input?: string): Promise<void>;

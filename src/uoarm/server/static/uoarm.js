@@ -10,6 +10,8 @@ const NO_SOCKET =
   "there is no WebSocket here: Node.js has it from version 22 on, from 20.10 on with " +
   "--experimental-websocket; or give connect a class, { WebSocket }";
 const TOKEN = /^[\w!#$%&'*+.^`|~-]+$/; // what a subprotocol's name may have
+const NO_URL =
+  "expected a URL such as ws://robot:9080/; a page that came by https may open wss:// only";
 const NO_TOKEN = "token: expected what `uoarm token` prints: no spaces, no line breaks";
 const FORMS = {
   json: {
@@ -725,13 +727,19 @@ export async function connect(
   const shown = token?.trim(); // as it is read from a file
   if (shown && !TOKEN.test(shown)) throw new UoarmError("usage", NO_TOKEN);
   if (shown !== undefined) protocols.push(`uoarm.token.${shown}`);
-  const open = () => new Socket(url, protocols);
+  const open = () => {
+    try {
+      return new Socket(url, protocols);
+    } catch { // with a text that may have the token
+      throw new UoarmError("usage", NO_URL);
+    }
+  };
   const shownUrl = String(url).replace(/([?&]token=)[^&#]*/, "$1***");
   const place = `the server at ${shownUrl}`;
   try {
     return await new Robot({ place, open, form, timeout, resume, reconnect, answer }).start();
   } catch (error) {
     if (!(error instanceof UoarmError)) throw error;
-    throw new UoarmError("closed", `${shownUrl}: ${error.message}`);
+    throw new UoarmError(error.code === "usage" ? "usage" : "closed", `${shownUrl}: ${error.message}`);
   }
 }
