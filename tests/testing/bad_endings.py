@@ -263,6 +263,25 @@ def dead_source(world: BadWorld, bridge: MemoryBridge, opens: Any) -> Any:
     return opened
 
 
+def stays_degraded(world: BadWorld, bridge: MemoryBridge) -> None:
+    late: list[Channel | None] = []
+
+    def replace(_: BadWorld, __: MemoryBridge, opens: Any) -> Any:
+        def opened(*given: Any) -> Source:
+            cause, bridge._is_cut = bridge._is_cut, ""
+            made: Source = opens(*given)
+            bridge._is_cut = cause
+            if cause:
+                bridge.report(Health.DEGRADED, "it waits for the link", channel=made)
+                late.append(made)
+            return made
+
+        return opened
+
+    step("_open_source", replace)(world, bridge)
+    reporting(lambda event: None if event.channel in late else event)(world, bridge)
+
+
 def waits_for_the_link(world: BadWorld, bridge: MemoryBridge, made: Channel) -> None:
     close = made._close
 
@@ -510,6 +529,13 @@ LINK_BUGS: tuple[Bug, ...] = (
         step("_open_source", dead_source),
         Breaking.test_what_opens_while_it_is_broken_carries_once_it_is_mended,
         "0 of 1 messages came",
+    ),
+    Bug(
+        LINKS,
+        "leaves degraded what opened while the link was broken",
+        stays_degraded,
+        Breaking.test_what_opens_while_it_is_broken_carries_once_it_is_mended,
+        "it carries and was not reported to be well",
     ),
 )
 

@@ -72,6 +72,7 @@ _OF_THE_MEMORY = {
     "subscribes again to what it is subscribed to",
     "closes only once the link is mended",
     "opens while the link is broken, for nothing",
+    "leaves degraded what opened while the link was broken",
     "takes options that it does not know",
     "takes any value of an option",
     "does not hand its options on",

@@ -229,6 +229,16 @@ class Breaking:
             _well(log, through)
             through.send(through.example())
             collector.wait(1, world.patience)
+
+            def is_well() -> bool:
+                last = [item.health for item in tuple(log.events) if item.channel is source][-1:]
+                return last in ([], [Health.OK])
+
+            wait(
+                is_well,
+                lambda: f"it carries and was not reported to be well: {log.events}",
+                world.patience,
+            )
             source.close()
 
 
