@@ -22,6 +22,7 @@ from uoarm._adapt._mapping import (
 from uoarm._adapt._numbers import Maker, array_of, clamped, scaled
 from uoarm._encodable import shown
 from uoarm.errors import MessageError
+from uoarm.model import closed_object
 
 
 class _Missing:
@@ -177,13 +178,7 @@ def _object(entries: tuple[MappingEntry, ...], source: Structure) -> tuple[Any, 
         makers.append((name, make, field.always))
         if field.always:
             required.append(name)
-    schema = {
-        "type": "object",
-        "properties": properties,
-        "required": required,
-        "additionalProperties": False,
-    }
-    return schema, build_object(makers)
+    return closed_object(properties, required), build_object(makers)
 
 
 def _value(value: Mapped | ArrayMapping, source: Structure) -> tuple[SchemaField, Maker]:

@@ -36,6 +36,7 @@ from uoarm._hints.arrays import (
     unwrapped,
 )
 from uoarm._raised import text_of
+from uoarm.model import closed_object
 
 if sys.version_info >= (3, 14):
     from annotationlib import Format
@@ -280,12 +281,8 @@ def _is_required(record: Any, name: str, hint: Any) -> bool:
 
 
 def _object(fields: Mapping[str, tuple[Any, bool]], depth: int) -> Mapping[str, object]:
-    return {
-        "type": "object",
-        "properties": {name: schema_of(hint, depth + 1) for name, (hint, _) in fields.items()},
-        "required": [name for name, (_, required) in fields.items() if required],
-        "additionalProperties": False,
-    }
+    properties = {name: schema_of(hint, depth + 1) for name, (hint, _) in fields.items()}
+    return closed_object(properties, [name for name, (_, needed) in fields.items() if needed])
 
 
 def _model(model: Any) -> Mapping[str, object]:

@@ -21,7 +21,7 @@ from uoarm.cdr._layout import (
     number_schema,
 )
 from uoarm.errors import MessageError
-from uoarm.model import MessageStructure
+from uoarm.model import MessageStructure, closed_object
 
 _RULE = "=" * 80
 _SECTION = re.compile(r"^=+[ \t]*\n(?:MSG|IDL):[ \t]*(\S+)[ \t]*$", re.MULTILINE)
@@ -207,14 +207,7 @@ class _Definitions:
 
 
 def _closed(name: str, properties: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": dict(properties),
-        "required": [*properties],
-        "additionalProperties": False,
-        "x-native-type": name,
-        "x-type": name,
-    }
+    return closed_object(properties, x_native_type=name, x_type=name)
 
 
 def _scalar(basic: str) -> dict[str, Any]:

@@ -47,6 +47,7 @@ from uoarm.model import (
     Role,
     RouteStatus,
     StatusMap,
+    closed_object,
 )
 
 __all__ = ["DIAGNOSTICS", "DiagnosticLevel", "Diagnostics", "StatusOptions", "uoarm_bridge_types"]
@@ -74,13 +75,7 @@ _LEVELS = {Health.OK: _OK, Health.FINISHED: _OK, Health.DEGRADED: _WARN, Health.
 
 
 def _record(type_name: str, **properties: Any) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
-        "x-type": type_name,
-    }
+    return closed_object(properties, x_type=type_name)
 
 
 _TEXT = {"type": "string", "maxLength": _MOST_CHARACTERS, "x-nul": False}

@@ -32,6 +32,25 @@ Deliver: TypeAlias = Callable[[Message], None]
 """Takes one message; never raises, never blocks longer than its declared policy."""
 
 
+def closed_object(
+    properties: Mapping[str, Any], required: Iterable[str] | None = None, **more: object
+) -> dict[str, Any]:
+    """Return the schema of objects with these members and no others; all are required by default.
+
+    Args:
+        properties: the schemas of the members.
+        required: the names of those that each object has.
+        more: further keywords, with `_` for `-`.
+    """
+    return {
+        "type": "object",
+        "properties": dict(properties),
+        "required": list(properties if required is None else required),
+        "additionalProperties": False,
+        **{name.replace("_", "-"): value for name, value in more.items()},
+    }
+
+
 @frozen(slots=False, eq=False)
 class MessageStructure:
     """The structure of the messages of one port.

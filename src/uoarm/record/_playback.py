@@ -14,7 +14,7 @@ from attrs import frozen
 
 from uoarm.bridge import Bridge, ServiceStructures
 from uoarm.errors import UsageError
-from uoarm.model import Endpoint, MessageStructure, Role
+from uoarm.model import Endpoint, MessageStructure, Role, closed_object
 from uoarm.record.plugin import MOST_RATE, RATE
 
 CONTROL = "@control"
@@ -30,19 +30,16 @@ CONTROL_REQUEST: Any = {
     },
     "additionalProperties": False,
 }
-CONTROL_REPLY: Any = {
-    "type": "object",
-    "properties": {
+CONTROL_REPLY: Any = closed_object(
+    {
         "position": {"type": "number", "x-unit": "s"},
         "duration": {"type": "number", "x-unit": "s"},
         "rate": {"type": ["number", "null"]},
         "is_paused": {"type": "boolean"},
         "began": {"type": "number", "x-unit": "s"},
         "file": {"type": "string"},
-    },
-    "required": ["position", "duration", "rate", "is_paused", "began", "file"],
-    "additionalProperties": False,
-}
+    }
+)
 
 _NANO = 1_000_000_000
 _TOGETHER = _NANO

@@ -12,7 +12,7 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import best_match
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message, MessageStructure
+from uoarm.model import Message, MessageStructure, closed_object
 from uoarm.schema import change_parts, enclose
 from uoarm.server.front_end import TEXT_FORM
 
@@ -51,17 +51,8 @@ _ENVELOPE = {
 }
 
 
-def _object(properties: Mapping[str, Any], *required: str) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": dict(properties),
-        "required": list(required),
-        "additionalProperties": False,
-    }
-
-
 OWN_INPUTS: Mapping[str, Mapping[str, Any]] = {
-    "plan": _object(
+    "plan": closed_object(
         {
             "function": _NAME,
             "operation": {
@@ -78,21 +69,21 @@ OWN_INPUTS: Mapping[str, Mapping[str, Any]] = {
                 "description": "Within which it is done, from the approval on.",
             },
         },
-        "function",
+        ["function"],
     ),
-    "status": _object({}),
-    "explain_failure": _object({"function": _NAME, "handle": _HANDLE}),
-    "discover": _object({}),
-    "stop": _object({}),
-    "goal_status": _object({"handle": _HANDLE}, "handle"),
-    "wait": _object(
+    "status": closed_object({}),
+    "explain_failure": closed_object({"function": _NAME, "handle": _HANDLE}, []),
+    "discover": closed_object({}),
+    "stop": closed_object({}),
+    "goal_status": closed_object({"handle": _HANDLE}),
+    "wait": closed_object(
         {
             "handle": _HANDLE,
             "seconds": {"type": "number", "minimum": 0, "maximum": SECONDS},
         },
-        "handle",
+        ["handle"],
     ),
-    "cancel": _object({"handle": _HANDLE}, "handle"),
+    "cancel": closed_object({"handle": _HANDLE}),
 }
 
 
@@ -116,7 +107,9 @@ class ToolArguments:
         )
         beside = {APPROVAL: {**_HANDLE, "description": "The approval that this is done with."}}
         if self._is_whole:
-            self.schema = enclose(schema, lambda moved: _object({_WHOLE: moved, **beside}, _WHOLE))
+            self.schema = enclose(
+                schema, lambda moved: closed_object({_WHOLE: moved, **beside}, [_WHOLE])
+            )
         else:
             self.schema = {**schema, "properties": {**properties, **beside}}
 
@@ -190,7 +183,7 @@ def read_input(outputs: tuple[str, ...]) -> dict[str, Any]:
     }
     if len(outputs) > 1:
         properties["output"] = {"enum": list(outputs), "default": outputs[0]}
-    return _object(properties)
+    return closed_object(properties, [])
 
 
 def output_schema(structure: MessageStructure | None) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import attrs
 
 from uoarm.bridge import Description, foreign, text_of
 from uoarm.errors import MessageError
-from uoarm.model import MOST_OCTETS, MessageStructure, elements_of, octets_of
+from uoarm.model import MOST_OCTETS, MessageStructure, closed_object, elements_of, octets_of
 from uoarm_rocos._catalogue import (
     Api,
     ApiKind,
@@ -51,12 +51,8 @@ def structure_of(fields: Fields, native_type: str = "") -> MessageStructure:
 
 
 def _object(fields: Fields) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": {name: _schema(member.type) for name, member in fields.items()},
-        "required": [name for name, member in fields.items() if member.required],
-        "additionalProperties": False,
-    }
+    properties = {name: _schema(member.type) for name, member in fields.items()}
+    return closed_object(properties, [name for name in fields if fields[name].required])
 
 
 def _schema(kind: Field) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from attrs import frozen
 
 from uoarm.cdr import BASIC, number_schema, ros_unit
-from uoarm.model import MessageStructure
+from uoarm.model import MessageStructure, closed_object
 
 _Schema: TypeAlias = dict[str, Any]
 
@@ -73,14 +73,7 @@ class RosService:
 
 
 def _object(name: str, properties: Mapping[str, _Schema], type_: object) -> _Schema:
-    return {
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
-        "x-native-type": name,
-        "x-type": type_,
-    }
+    return closed_object(properties, x_native_type=name, x_type=type_)
 
 
 def _counting(schema: _Schema, unit: str | None) -> _Schema:

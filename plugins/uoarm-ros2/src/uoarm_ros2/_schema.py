@@ -10,7 +10,7 @@ from typing import Any
 
 from uoarm.bridge import Description
 from uoarm.cdr import BASIC, number_schema, ros_unit
-from uoarm.model import MessageStructure
+from uoarm.model import MessageStructure, closed_object
 from uoarm_ros2._types import (
     ArrayType,
     RecordField,
@@ -53,14 +53,8 @@ def schema_of(shape: Shape, unit: str | None = None) -> dict[str, Any]:
 
 
 def _object(record: RecordType, unit: str | None) -> dict[str, Any]:
-    schema: dict[str, Any] = {
-        "type": "object",
-        "properties": {field.name: _member(record, field, unit) for field in record.fields},
-        "required": [field.name for field in record.fields],
-        "additionalProperties": False,
-        "x-native-type": record.name,
-        "x-type": record.name,
-    }
+    properties = {field.name: _member(record, field, unit) for field in record.fields}
+    schema = closed_object(properties, x_native_type=record.name, x_type=record.name)
     if record.constants:
         schema["x-constants"] = dict(record.constants)
     return schema
@@ -115,13 +109,7 @@ def part_structure(type_name: str, part: str) -> MessageStructure:
         members["status"] = {"type": "string", "enum": _STATES}
     if part in {"feedback", "result"}:
         members[part] = schema_of(feedback if part == "feedback" else result)
-    schema = {
-        "type": "object",
-        "properties": members,
-        "required": list(members),
-        "additionalProperties": False,
-    }
-    return MessageStructure(schema, native_type=f"{type_name}.{part}")
+    return MessageStructure(closed_object(members), native_type=f"{type_name}.{part}")
 
 
 def action_records(type_name: str) -> tuple[RecordType, RecordType, RecordType]:

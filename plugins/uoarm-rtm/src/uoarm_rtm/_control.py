@@ -21,7 +21,7 @@ from attrs import define, field, frozen
 
 from uoarm.bridge import Channel, Description, Log
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Message, MessageStructure
+from uoarm.model import Message, MessageStructure, closed_object
 from uoarm_rtm._options import CONFIGURATION, LIFECYCLE, RtmEndpointOptions
 from uoarm_rtm._orb import corba_errors, narrowed
 from uoarm_rtm._peer import PeerComponent, contexts_of, pairs, properties_of, state_of
@@ -34,14 +34,7 @@ _TEXTS: dict[str, Any] = {"type": "object", "additionalProperties": {"type": "st
 
 
 def _closed(properties: dict[str, Any], *required: str) -> MessageStructure:
-    return MessageStructure(
-        {
-            "type": "object",
-            "properties": properties,
-            "required": list(required),
-            "additionalProperties": False,
-        }
-    )
+    return MessageStructure(closed_object(properties, required))
 
 
 _LIFECYCLE_REQUEST = _closed({"action": {"enum": [*_GOALS, "state"]}}, "action")

@@ -17,7 +17,7 @@ from omniORB import CORBA
 
 from uoarm.bridge import Channel, Description, LimitedLog, foreign, on_failure, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Endpoint, Message, MessageStructure
+from uoarm.model import Endpoint, Message, MessageStructure, closed_object
 from uoarm_rtm._descriptors import RETURN, IdlInterface, IdlOperation
 from uoarm_rtm._orb import Orb, corba_errors, limit, narrowed
 from uoarm_rtm._peer import (
@@ -47,14 +47,7 @@ def described(interface: IdlInterface, operation: str) -> Description:
     for declared in interface.operations.values():
         request, reply = declared.structures
         properties = {"operation": {"const": declared.name}, "arguments": request.schema}
-        several.append(
-            {
-                "type": "object",
-                "properties": properties,
-                "required": list(properties),
-                "additionalProperties": False,
-            }
-        )
+        several.append(closed_object(properties))
         replies.append(reply.schema)
     return Description(
         request=MessageStructure({"oneOf": several}), reply=MessageStructure({"anyOf": replies})

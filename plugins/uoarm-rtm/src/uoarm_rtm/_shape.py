@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from attrs import evolve, frozen
 
 from uoarm.cdr import CORBA, FLOAT32_MAX, SWITCH, ByteOrder, Codec
-from uoarm.model import MessageStructure
+from uoarm.model import MessageStructure, closed_object
 
 INTEGERS = {
     "octet": (0, 255),
@@ -213,13 +213,7 @@ def _record(record: IdlStruct, encoding: str, unit: str | None) -> dict[str, Any
 
 
 def _object(properties: dict[str, Any], name: str) -> dict[str, Any]:
-    schema: dict[str, Any] = {
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
-    }
-    return {**schema, "x-native-type": name} if name else schema
+    return closed_object(properties, **({"x_native_type": name} if name else {}))
 
 
 def _array(listing: IdlSequence, encoding: str, unit: str | None) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from attrs import field, frozen
 from uoarm.bridge import foreign, shown, text_of
 from uoarm.cdr import BASIC, FLOAT32_MAX, number_schema
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import MOST_OCTETS, Message, MessageStructure, elements_of
+from uoarm.model import MOST_OCTETS, Message, MessageStructure, closed_object, elements_of
 
 _MOST_NUMBER_OCTETS = 2**27
 _OF_EACH_ROS = {"bool", "byte", "char"}  # no numbers, or other ones in ROS 1 than in ROS 2
@@ -212,13 +212,8 @@ def structure_of(made: RosType) -> MessageStructure:
 
 def _schema(shape: RosShape) -> dict[str, Any]:
     if isinstance(shape, RosType):
-        schema: dict[str, Any] = {
-            "type": "object",
-            "properties": {name: _schema(inner) for name, inner in shape.fields.items()},
-            "required": [*shape.fields],
-            "additionalProperties": False,
-            "x-native-type": shape.name,
-        }
+        properties = {name: _schema(inner) for name, inner in shape.fields.items()}
+        schema = closed_object(properties, x_native_type=shape.name)
         if shape.is_real:
             schema["x-type"] = shape.name
         return {**schema, "x-constants": dict(shape.constants)} if shape.constants else schema
