@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from components import shown_script
+from tests.hostile import misbehaviour  # type: ignore[import-not-found]
 from uoarm_foxglove._views import view_of
 from viewer import Serve, Viewer
 
@@ -58,6 +59,34 @@ def drawn(schema: Any, message: Any, **structure: Any) -> tuple[str, Any]:
     assert (codec.encoding, codec.schema_encoding) == ("cdr", "ros2msg")
     read = structure_of_definition(RosDefinition(codec.schema_name, codec.schema))
     return codec.schema_name, deserialiser(read)(codec.write(message))
+
+
+@pytest.mark.parametrize(
+    ("schema", "message"),
+    [
+        (
+            some(width=INTEGER, height=INTEGER, step=INTEGER, encoding=TEXT, data=OCTETS),
+            {"width": 1, "height": 1, "step": 3, "encoding": "rgb8", "data": b"rgb"},
+        ),
+        (some(format=TEXT, data=OCTETS), {"format": "png", "data": b"abc"}),
+        (
+            some(ranges=NUMBERS, angle_min=NUMBER, angle_max=NUMBER, intensities=NUMBERS),
+            {"ranges": [1.0], "angle_min": 0.0, "angle_max": 1.0, "intensities": [1.0]},
+        ),
+        (some(points={"type": "array", "items": XYZ}), {"points": [POINT]}),
+        (TRANSFORM, TRANSFORMED),
+    ],
+)
+def test_what_a_value_does_itself_is_a_refusal(schema: Any, message: Any) -> None:
+    codec = view_of(MessageStructure(schema), "eye")
+    assert codec is not None
+    write = codec.write
+    assert write(message)
+    assert not misbehaviour(write)
+    for name in message:
+        assert not misbehaviour(lambda value, name=name: write({**message, name: value}))
+    if "points" in message:
+        assert not misbehaviour(lambda value: write({"points": [{**POINT, "x": value}]}))
 
 
 def test_a_picture_of_pixels_is_a_raw_image() -> None:

@@ -17,6 +17,7 @@ import pytest
 from agents import Agents
 from jsonschema import Draft202012Validator
 from mcp_types import CallToolResult
+from tests.hostile import misbehaviour  # type: ignore[import-not-found]
 from uoarm_mcp._schemas import output_schema, read_output
 from uoarm_mcp._values import (
     KeptValues,
@@ -79,6 +80,12 @@ def test_every_message_of_a_structure_is_an_answer(schema: Any, message: Any) ->
 def test_no_other_is(schema: Any, said: Any) -> None:
     validator = Draft202012Validator(output_schema(MessageStructure(schema)))
     assert not validator.is_valid({"state": "x", "result": said})
+
+
+def test_what_a_value_does_itself_is_a_refusal() -> None:
+    assert not misbehaviour(render)
+    assert not misbehaviour(lambda value: render({"x": [value]}))
+    assert not misbehaviour(lambda value: render({"x": [value] * 20}))
 
 
 def test_the_client_takes_them(agents: Agents) -> None:

@@ -7,6 +7,7 @@ viewers know, beside the one with its messages as they are. What is of such a ty
 from __future__ import annotations
 
 import math
+import operator
 import re
 import time
 from array import array
@@ -15,7 +16,7 @@ from functools import cache
 from typing import Any, TypeAlias
 
 from uoarm import cdr
-from uoarm.bridge import text_of
+from uoarm.bridge import foreign, text_of
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm_foxglove._protocol import CDR, StructureCodec
@@ -121,7 +122,7 @@ def _codec(kind: str, make: Make) -> StructureCodec:
 
     def write(message: Message) -> bytes:
         try:
-            made = make(message)
+            made = foreign(make, message)
         except Exception as error:  # few messages are checked: one may be anything
             text = f"{kind}: {text_of(error)}"
             raise MessageError(f"a message cannot be drawn as {text}") from error
@@ -241,9 +242,12 @@ def _raw_image(fields: Fields, frame: str) -> Make | None:
     header, has_step = _header(fields, frame), _is_integer(fields.get("step"))
 
     def make(message: Any) -> dict[str, Any]:
-        octets, width, height = _get(message, data), message["width"], message["height"]
+        # By `index`: to multiply an array that has itself as an element ends the process.
+        width, height = operator.index(message["width"]), operator.index(message["height"])
+        octets = _get(message, data)
         encoding = _get(message, named) if named else _PIXELS[_get(message, bits or ())]
-        step = (has_step and message["step"]) or width * _pixel_octets(encoding)
+        step = has_step and operator.index(message["step"])
+        step = step or width * _pixel_octets(encoding)
         if len(octets) < step * height:
             raise ValueError(f"{len(octets):,} octets are not {height} rows of {step}")
         shape = {"width": width, "height": height, "step": step}

@@ -16,8 +16,9 @@ import orjson
 from attrs import evolve, frozen
 from mcp_types import CallToolResult, ImageContent, ResourceLink, TextContent
 
-from uoarm.errors import PluginError, UsageError
-from uoarm.model import Message
+from uoarm.bridge import foreign, text_of
+from uoarm.errors import MessageError, PluginError, UsageError
+from uoarm.model import MOST_OCTETS, Message, plain_copy
 from uoarm.server.front_end import TEXT_FORM, Account, Charge, MemoryUse, code_of, coded_text
 
 KEPT = "uoarm://kept/"
@@ -111,6 +112,26 @@ def render(message: Message) -> RenderedMessage:
     Raises:
         MessageError: it has no form as text.
     """
+    try:
+        return foreign(_render, message)
+    except MessageError:
+        raise
+    except Exception as error:
+        text = f"the message has no form for an agent: {text_of(error)}"
+        raise MessageError(text) from error
+
+
+def _render(message: Message) -> RenderedMessage:
+    left = MOST_OCTETS
+
+    def bounded(value: Any) -> Any:
+        nonlocal left
+        left -= getattr(value, "nbytes", 0)
+        if left < 0:
+            raise MessageError(f"its arrays have more than {MOST_OCTETS:,} octets")
+        return value
+
+    message = plain_copy(message, bounded)  # values of a component's own classes may have no end
     octets: list[bytes] = []
     _find_octets(message, octets, _DEPTH)
     if sum(map(len, octets)) <= _SHORT_OCTETS:
