@@ -376,6 +376,41 @@ def test_what_cannot_be_read_is_said_once_until_something_can(played: Played) ->
         assert "sends what cannot be read" in events[0].cause
 
 
+def test_what_can_be_read_again_is_asked_for_where_nothing_comes(played: Played) -> None:
+    with bridge_to(played.url, check=0.1) as bridge:
+        events = health_events(bridge)
+        bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        played.sockets[-1].send("{")
+        eventually(lambda: len(events) == 2, "its end")
+        assert [event.health for event in events] == [Health.DEGRADED, Health.OK]
+
+
+def test_rosapi_that_answers_again_covers_up_nothing(played: Played) -> None:
+    with (
+        hanging({"type": "std_msgs/String"}, times=1) as answer,
+        bridge_to(played.url, wait=0.5, check=3600) as bridge,
+    ):
+        events = health_events(bridge)
+        bridge.open_source(TALK, structure(bridge), Collector().deliver)
+        played.sockets[-1].send("{")
+        eventually(lambda: len(events) == 1, "it cannot be read")
+        played.answers["topic_type"] = answer
+        with pytest.raises(BridgeTimeoutError):
+            bridge.describe(TALK)
+
+        def answers() -> bool:
+            with suppress(BridgeError):
+                return bridge.describe(TALK).message is not None
+            return False
+
+        eventually(answers, "rosapi answers again")
+        publish(played, "x")
+        eventually(lambda: len(events) == 4, "all is well")
+    healths = [event.health for event in events]
+    assert healths == [Health.DEGRADED, Health.DEGRADED, Health.DEGRADED, Health.OK]
+    assert "answers again" not in events[2].cause
+
+
 def test_what_did_not_open_does_not_stand(played: Played) -> None:
     def on(socket: Any, fields: Any) -> None:
         if fields["op"] == "subscribe":

@@ -47,6 +47,7 @@ _FINAL = (401, 403)  # answers to the handshake that no other attempt changes
 _MOST_WAITING = 1024
 _ROOM_FOR_FIELDS = 65_536
 _SERVED = {"call_service": "service", "send_action_goal": "action", "cancel_action_goal": "action"}
+_WELL = {"rosapi": "answers again", "frames": "can be read again"}
 
 
 @define(eq=False)
@@ -116,8 +117,8 @@ class ServerConnection:
         # Since when a request was answered too late, and none in time; and how long that may last.
         self._unanswered_since: float | None = None
         self._patience = options.wait
-        self._is_garbled = False  # whether the last frame could not be read
-        self._is_mute = False  # whether rosapi did not answer the last question
+        # What is wrong although it is up, with the last frame or the last question, by its name.
+        self._troubles: dict[str, str] = {}
         # Octets of the longest message of this connection, and of those that the server has ended
         # one for: it has no operation that states its limit.
         self._longest = 0
@@ -249,9 +250,9 @@ class ServerConnection:
             values = self._questions._ask(service, within, arguments)  # noqa: SLF001 - of this class
         except BridgeTimeoutError as error:
             if within is None or within >= self.options.wait:
-                self._note_rosapi(str(error))
+                self._note("rosapi", str(error))
             raise
-        self._note_rosapi("")
+        self._note("rosapi", "")
         return values
 
     def ask_again(self) -> None:
@@ -260,19 +261,22 @@ class ServerConnection:
         Raises:
             BridgeError: as `rosapi`.
         """
-        if self._is_mute:
+        if "rosapi" in self._troubles:
             self.rosapi("get_time")
+        if "frames" in self._troubles:  # nothing else may come for long
+            self._ask("get_time", None, {})
 
-    def _note_rosapi(self, silence: str) -> None:
-        """Report that rosapi does not answer while its server does, or that it answers again."""
+    def _note(self, what: str, trouble: str) -> None:
+        """Report that something is wrong, or is well again, and what else is wrong still."""
         with self._changed:
-            if self._is_mute is bool(silence) or not self.is_up:
+            if (what in self._troubles) is bool(trouble) or not self.is_up:
                 return
-            self._is_mute = bool(silence)
-        if silence:
-            self._report(Health.DEGRADED, silence)
-        else:
-            self._report(Health.OK, f"rosapi of {self.options.url} answers again")
+            self._troubles.pop(what, "")
+            if trouble:
+                self._troubles[what] = trouble
+            cause = trouble or next(iter(self._troubles.values()), "")
+        well = f"{what} of {self.options.url} {_WELL[what]}"
+        self._report(Health.DEGRADED if cause else Health.OK, cause or well)
 
     def _ask(self, service: str, within: float | None, arguments: Fields) -> Fields:
         seconds = self.options.wait if within is None else min(self.options.wait, within)
@@ -448,7 +452,7 @@ class ServerConnection:
         )
 
     def _begin(self, socket: ClientConnection, access: ServerAccess) -> None:
-        self._longest, self._is_mute = 0, False
+        self._longest = 0
         if access.authentication is not None:
             socket.send(json.dumps(access.authentication()))
         with self._standing_lock:
@@ -492,14 +496,10 @@ class ServerConnection:
             else:
                 fields = read_binary(frame, spending)
         except ControlMessageError as error:
-            if not self._is_garbled:
-                self._is_garbled = True
-                text = f"{self.options.url} sends what cannot be read: {error}"
-                self._report(Health.DEGRADED, text)
+            self._note("frames", f"{self.options.url} sends what cannot be read: {error}")
             return
-        if self._is_garbled:
-            self._is_garbled = False
-            self._report(Health.OK, f"what {self.options.url} sends can be read again")
+        if self._troubles:
+            self._note("frames", "")
         if not isinstance(fields, dict):
             return
         op = fields.get("op")
@@ -540,7 +540,7 @@ class ServerConnection:
                 socket.close()
 
     def _lose(self, cause: str, *, final: bool = False) -> None:
-        self._unanswered_since, self._is_garbled = None, False
+        self._unanswered_since, self._troubles = None, {}
         with self._changed:
             # What came since it was left for the next connection waits for that one.
             is_left, is_closed = self._is_hurried and not self._is_closed, self._is_closed
