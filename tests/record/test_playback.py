@@ -6,6 +6,7 @@ import threading
 
 import pytest
 
+from uoarm.record import _playback
 from uoarm.record._playback import Playback, PlaybackTurn, Timeline
 from uoarm.testing import Background, ManualClock, patience, wait
 
@@ -122,6 +123,32 @@ def test_a_step_waits_for_readers_that_were_moved() -> None:
     playback.step()
     assert playback.status().position == 1.0
     assert reading.result(patience()) is PlaybackTurn.PLAY
+
+
+def test_steps_that_find_every_reader_busy_are_taken_as_one_comes_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_playback, "_STEP_SECONDS", 0.0)
+    playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND)
+    playback.join("a")
+    playback.begin()
+    playback.step()
+    playback.step()
+
+    def read(place: int) -> PlaybackTurn:
+        return Background(lambda: playback.wait("a", place, playback.generation, never)).result()
+
+    assert read(SECOND) is read(2 * SECOND) is PlaybackTurn.PLAY
+    assert playback.status().position == 2.0
+    playback.step()
+    playback.seek(5.0)
+    over = threading.Event()
+    waiting = Background(lambda: playback.wait("a", 6 * SECOND, 1, over.is_set))
+    wait(lambda: playback._next)
+    assert playback.status().position == 5.0, "a step from where it no longer is"
+    over.set()
+    playback.end("a")
+    assert waiting.result() is PlaybackTurn.STOP
 
 
 def test_a_reader_that_is_over_stops() -> None:

@@ -109,12 +109,13 @@ class Timeline:
         self._go_to(place, now)
         self._is_before = True
 
-    def step(self, places: Iterable[int], now: float) -> None:
-        """Go to the nearest of these that lies ahead, if one does, and stand behind it."""
+    def step(self, places: Iterable[int], now: float) -> bool:
+        """Go to the nearest of these that lies ahead, and stand behind it; False: none does."""
         ahead = [place for place in places if self._lies_ahead(place)]
         if ahead:
             self._go_to(min(ahead), now)
             self._is_before = False
+        return bool(ahead)
 
     def _lies_ahead(self, place: int) -> bool:
         """Say whether a message is still to come, where it stands."""
@@ -183,6 +184,7 @@ class Playback:
         self._readers: set[object] = set()
         self._next: dict[object, int] = {}  # of the readers that wait: the time of their message
         self._is_stepping = False
+        self._steps = 0  # asked for while every reader was busy: the next message is not known yet
         self.generation = 0
 
     def join(self, reader: object, *, loops: bool = False) -> tuple[int, int, int]:
@@ -194,6 +196,7 @@ class Playback:
         with self._moved:
             if not self._readers:
                 self._timeline.rewind(self._begin)
+                self._steps = 0
             self._readers.add(reader)
             place, begin, lap = self._timeline.position(self._clock()), self._begin, 0
             if self._timeline.rate is not None and place - begin > _TOGETHER:
@@ -225,6 +228,8 @@ class Playback:
                         return PlaybackTurn.STOP
                     if generation != self.generation:
                         return PlaybackTurn.ELSEWHERE
+                    if self._steps and not self._is_stepping:
+                        self._take_step()
                     seconds = self._timeline.wait(place, self._clock())
                     if seconds == 0:
                         self._timeline.passed(place)
@@ -238,7 +243,11 @@ class Playback:
         self._move(lambda: self._timeline.pause(self._clock()))
 
     def play(self) -> None:
-        self._move(lambda: self._timeline.play(self._clock()))
+        def move() -> None:
+            self._timeline.play(self._clock())
+            self._steps = 0
+
+        self._move(move)
 
     def set_rate(self, rate: float | None) -> None:
         self._move(lambda: self._timeline.set_rate(rate, self._clock()))
@@ -247,6 +256,7 @@ class Playback:
         """Let the next message pass, and what has the same time; stand before and after.
 
         Waits a second at most for readers that have a message in hand: theirs may be the next one.
+        Where all are busy for longer, what the first of them comes to then passes.
         """
         with self._moved:
             self._timeline.pause(self._clock())
@@ -254,8 +264,9 @@ class Playback:
             self._is_stepping = True
             self._moved.wait_for(self._is_still, _STEP_SECONDS)
             self._is_stepping = False
-            self._timeline.step(self._next.values(), self._clock())
-            self._moved.notify_all()
+            if self._timeline.is_paused:  # and is not played since
+                self._steps += 1
+                self._take_step()
 
     def seek(self, seconds: float) -> None:
         """Go to so many seconds after the first message."""
@@ -266,6 +277,7 @@ class Playback:
             self.generation += 1
             # Where readers waited says nothing of the next message: a step waits for them anew.
             self._next.clear()
+            self._steps = 0
 
         self._move(move)
 
@@ -283,6 +295,10 @@ class Playback:
                 self.start / _NANO,
                 self._file,
             )
+
+    def _take_step(self) -> None:
+        self._steps -= self._timeline.step(self._next.values(), self._clock())
+        self._moved.notify_all()
 
     def _is_still(self) -> bool:
         """Say whether each reader waits for a message that lies ahead."""
