@@ -10,6 +10,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import trustme
 from attrs import evolve
@@ -343,6 +344,11 @@ def test_types_of_ros_1_are_those_of_ros_1() -> None:
 def test_what_a_value_does_itself_is_a_refusal(name: str) -> None:
     write = writer(read_types("x_msgs/All", [ONE, HEADER]))
     assert not misbehaviour(lambda value: json_text(write({**ONE_VALUE, name: value})))
+
+
+def test_what_a_value_of_no_known_type_does_itself_is_a_refusal() -> None:
+    assert not misbehaviour(lambda value: json_text({"args": writer(None)(value)}))
+    assert writer(None)({"x": np.arange(2)}) == {"x": [0, 1]}
 
 
 @pytest.mark.parametrize("write", [write_ros, partial(write_publish_cbor, "/x", 1)])

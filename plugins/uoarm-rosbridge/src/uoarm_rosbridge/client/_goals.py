@@ -51,7 +51,7 @@ def call_action(
     cancel = {"op": "cancel_action_goal", "id": identity, "action": name}
     fields = {
         "op": "send_action_goal", "id": identity, "action": name, "action_type": kind,
-        "args": message if types is None else writer(types[0])(message), "feedback": False,
+        "args": writer(types and types[0])(message), "feedback": False,
     }  # fmt: skip
     try:
         with cancelling(lambda: connection.send(cancel)):

@@ -12,7 +12,7 @@ from attrs import define
 
 from uoarm.bridge import Channel, Handler, ServedRequests, on_failure, text_of
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Health, Message, array_as_lists, plain_copy
+from uoarm.model import Endpoint, Health, Message
 from uoarm_rosbridge.client._channels import Report
 from uoarm_rosbridge.client._connection import Fields, ServerConnection
 from uoarm_rosbridge.client._types import RosType, reader, writer
@@ -24,14 +24,12 @@ class ServedTypes:
     """How requests are read and replies written.
 
     Args:
-        kinds: of the request and the reply; None: the server describes them not, and anything that
-            JSON has a form for passes, as the function's own structures were checked.
+        kinds: of the request and the reply; None: the server describes them not.
     """
 
     def __init__(self, kinds: tuple[RosType, RosType] | None) -> None:
-        plain: Callable[[Any], Any] = partial(plain_copy, leaf=array_as_lists)
-        self.read: Callable[[Any], Message] = plain if kinds is None else reader(kinds[0])
-        self.write: Callable[[Message], Any] = plain if kinds is None else writer(kinds[1])
+        self.read: Callable[[Any], Message] = writer(None) if kinds is None else reader(kinds[0])
+        self.write = writer(kinds and kinds[1])
 
 
 @define(eq=False)

@@ -23,7 +23,15 @@ from attrs import field, frozen
 from uoarm.bridge import foreign, shown, text_of
 from uoarm.cdr import BASIC, FLOAT32_MAX, number_schema
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import MOST_OCTETS, Message, MessageStructure, closed_object, elements_of
+from uoarm.model import (
+    MOST_OCTETS,
+    Message,
+    MessageStructure,
+    array_as_lists,
+    closed_object,
+    elements_of,
+    plain_copy,
+)
 
 _MOST_NUMBER_OCTETS = 2**27
 _OF_EACH_ROS = {"bool", "byte", "char"}  # no numbers, or other ones in ROS 1 than in ROS 2
@@ -403,12 +411,17 @@ def _numbers(path: str, kind: str, dtype: np.dtype[Any], value: Any) -> np.ndarr
 
 
 @lru_cache(maxsize=1024)
-def writer(made: RosType) -> Callable[[Message], Any]:
+def writer(made: RosType | None) -> Callable[[Message], Any]:
     """Return the function that makes of a message what is written as JSON.
 
     It raises MessageError where a message does not fit, or holds what JSON has no form for.
+
+    Args:
+        made: its type; None: the server describes none, and anything that JSON has a form for
+            passes, as the function's own structures were checked.
     """
-    write = _writing(made, "$")
+    plain = partial(plain_copy, leaf=array_as_lists)
+    write = plain if made is None else _writing(made, "$")
 
     def write_fitting(message: Message) -> Any:
         try:
