@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -410,6 +411,19 @@ def test_schema_check_exits_by_its_verdict(tmp_path: Path, consumer: object, cod
     result = run("schema", "check", str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--json")
     assert result.exit_code == code
     assert json.loads(result.stdout)["compatible"] is (code == 0)
+
+
+@pytest.mark.parametrize("text", ["{", '{"type": 1}', None], ids=["no JSON", "none", "absent"])
+def test_schema_check_says_as_json_what_is_wrong(tmp_path: Path, text: str | None) -> None:
+    (tmp_path / "a.json").write_text('{"type": "integer"}')
+    other = tmp_path / "b.json"
+    if text is not None:
+        other.write_text(text)
+    result = run("schema", "check", str(tmp_path / "a.json"), str(other), "--json")
+    assert result.exit_code == 2
+    reply = json.loads(result.stdout)
+    assert reply["error"] in result.stderr
+    assert re.fullmatch(r"UOA-\d+", reply["error_code"])
 
 
 def test_schema_check_reads_no_device_to_an_end_that_there_is_not() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +155,13 @@ def test_what_cannot_be_checked_is_no_success(tape: Path) -> None:
     assert (code, "not checked: " in text) == (1, True), text
     code, text = checked(tape.with_name("none.mcap"), ALONE)
     assert (code, "cannot be read: No such file" in text) == (4, True), text
+
+
+@pytest.mark.parametrize("name", ["pipe.mcap", "pipe"])
+def test_a_pipe_is_no_recording_and_is_not_waited_for(tape: Path, name: str) -> None:
+    os.mkfifo(tape.with_name(name))
+    code, text = checked(tape.with_name(name), ALONE)
+    assert (code, f"{name} cannot be read: " in text) == (4, True), text
 
 
 def test_what_cannot_be_read_is_no_success(tape: Path) -> None:

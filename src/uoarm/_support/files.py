@@ -12,6 +12,7 @@ import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from uoarm.errors import UsageError
 
@@ -72,6 +73,17 @@ def _octets(path: Path, limit: int) -> bytes:
     if len(raw) > limit:
         raise ValueError(f"it has more than {limit:,} bytes")
     return raw
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a file for reading, but no pipe, whose other end may never be opened, and no device.
+
+    Raises:
+        OSError: it cannot be read, or is none.
+    """
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+    return path.open("rb")
 
 
 def end_of_lines(text: str) -> str:

@@ -16,6 +16,7 @@ from attrs import define, frozen
 from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, parse
 from uoarm._origin import install_command
 from uoarm._raised import text_of
+from uoarm._support.files import open_regular
 from uoarm.bridge import message_check
 from uoarm.errors import BridgeError, FailureReason, MessageError, PluginError, UoarmError
 from uoarm.model import (
@@ -268,7 +269,7 @@ def open_recording(path: Path) -> RecordedFile:
     """
     require_mcap()
     begin = b""
-    with suppress(OSError), path.open("rb") as file:
+    with suppress(OSError), open_regular(path) as file:
         begin = file.read(len(MAGIC))  # a recording may have any name
     return McapReader(path) if path.suffix == ".mcap" or begin == MAGIC else BagReader(path)
 

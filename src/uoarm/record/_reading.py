@@ -21,6 +21,7 @@ from typing import BinaryIO, Protocol, TypeAlias
 
 from attrs import define, field, frozen
 
+from uoarm._support.files import open_regular
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.record._records import (
     HEAD,
@@ -161,7 +162,7 @@ class McapReader:
         # Guards the place up to which a growing file was read, between sources that open.
         self._growing = threading.Lock()
         try:
-            with path.open("rb") as file:
+            with open_regular(path) as file:
                 if file.read(len(MAGIC)) != MAGIC:
                     raise BridgeError(f"{path} is no MCAP file", FailureReason.UNSUPPORTED)
                 self._size = file.seek(0, 2)

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
@@ -18,7 +18,12 @@ __all__ = ["check_files", "schema"]
 
 _UNDECIDED = 3
 _UNREADABLE = 2
+_ERROR_CODE = "UOA-101"
 _MOST_OCTETS = 64_000_000
+
+
+class _UnreadableError(Exception):
+    """A file is not there, or no JSON; the text says which, and why."""
 
 
 @click.group()
@@ -37,8 +42,11 @@ def check_files(producer: Path, consumer: Path, *, as_json: bool) -> None:
     """
     try:
         verdict = check(_read(producer), _read(consumer))
-    except SchemaError as error:
-        click.echo(f"not a JSON Schema: {error}", err=True)
+    except (SchemaError, _UnreadableError) as error:
+        text = f"not a JSON Schema: {error}" if isinstance(error, SchemaError) else str(error)
+        if as_json:
+            click.echo(json.dumps({"error": text, "error_code": _ERROR_CODE}))
+        click.echo(text, err=True)
         sys.exit(_UNREADABLE)
     click.echo(json.dumps(verdict.to_dict(), indent=2) if as_json else _sentences(verdict))
     sys.exit(0 if verdict.compatible else 1 if verdict.incompatible else _UNDECIDED)
@@ -50,13 +58,15 @@ def _read(path: Path) -> Any:
         with path.open("rb") as stream:  # a device could go on for ever
             raw = stream.read(_MOST_OCTETS + 1)
         if len(raw) > _MOST_OCTETS:
-            _fail(f"{path}: the file cannot be read: it has more than {_MOST_OCTETS:,} bytes")
+            why = f"it has more than {_MOST_OCTETS:,} bytes"
+            raise _UnreadableError(f"{path}: the file cannot be read: {why}")
         text = raw.decode("utf-8")
     except OSError as error:
-        _fail(f"{path}: the file cannot be read: {error.strerror or error}")
+        why = error.strerror or str(error)
+        raise _UnreadableError(f"{path}: the file cannot be read: {why}") from error
     except UnicodeDecodeError as error:
         why = f"byte {error.start + 1:,} cannot be decoded (save it as UTF-8)"
-        _fail(f"{path}: the file is not UTF-8: {why}")
+        raise _UnreadableError(f"{path}: the file is not UTF-8: {why}") from error
     try:
         read = json.loads(
             text, object_pairs_hook=_mapping, parse_float=_number, parse_constant=_refuse
@@ -64,13 +74,8 @@ def _read(path: Path) -> Any:
         if "\\u" in text:
             json.dumps(read, ensure_ascii=False).encode()  # half of a surrogate pair is no text
     except (ValueError, RecursionError) as error:
-        _fail(f"{path}: not JSON: {error}")
+        raise _UnreadableError(f"{path}: not JSON: {error}") from error
     return read
-
-
-def _fail(text: str) -> NoReturn:
-    click.echo(text, err=True)
-    sys.exit(_UNREADABLE)
 
 
 def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
