@@ -88,6 +88,13 @@ def test_what_a_value_does_itself_is_a_refusal() -> None:
     assert not misbehaviour(lambda value: render({"x": [value] * 20}))
 
 
+@pytest.mark.parametrize("name", ["data", "width", "height", "encoding"])
+def test_a_picture_is_shown_or_refused(name: str) -> None:
+    picture = {"data": b"abc", "width": 1, "height": 1}
+    assert picture_of(picture).data
+    assert not misbehaviour(lambda value: picture_of({**picture, name: value}), UsageError)
+
+
 def test_the_client_takes_them(agents: Agents) -> None:
     result: CallToolResult = agents.call("odd", {"number": 1})
     answer: Any = result.structured_content

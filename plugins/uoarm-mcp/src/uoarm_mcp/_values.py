@@ -37,8 +37,6 @@ _RAW = {"rgb8": "RGB", "bgr8": "BGR", "mono8": "L", "rgba8": "RGBA", "bgra8": "B
 _PIXELS = 64_000_000
 # What cameras send; of the others that Pillow knows, one hands the octets to Ghostscript.
 _FORMATS = ("BMP", "JPEG", "PNG", "WEBP")
-# What a decoder raises for octets that are none of its, or are damaged.
-_DAMAGED = (OSError, ValueError, TypeError, OverflowError, SyntaxError)
 # One picture at a time: unpacked, a large one takes 200 MB, and there may be as many as clients.
 _unpacking = threading.Lock()
 
@@ -276,6 +274,16 @@ def picture_of(message: Message) -> ImageContent:
         UsageError: it is no picture that is known here.
     """
     try:
+        written = foreign(_jpeg_of, message)
+    except (PluginError, UsageError):
+        raise
+    except Exception as error:  # a decoder's, for octets that are none of its, or are damaged
+        raise UsageError(f"it is no picture that can be shown: {text_of(error)}") from error
+    return ImageContent(data=base64.b64encode(written).decode(), mime_type="image/jpeg")
+
+
+def _jpeg_of(message: Message) -> bytes:
+    try:
         from PIL import Image  # noqa: PLC0415 - an optional package
     except ImportError:
         raise PluginError(
@@ -283,32 +291,31 @@ def picture_of(message: Message) -> ImageContent:
         ) from None
     width, height = message.get("width"), message.get("height")
     encoding = str(message.get("encoding", "rgb8"))
-    try:
-        with _unpacking:
-            data = bytes(message["data"])
-            if isinstance(width, int) and isinstance(height, int):
-                kind = _RAW.get(encoding)
-                if kind is None or not 0 < width * height <= _PIXELS:
-                    raise UsageError(f"pictures of encoding {encoding!r:.50} are not shown")
-                mode = kind.replace("BGR", "RGB")
-                step = message.get("step")
-                stride = step if isinstance(step, int) else 0
-                picture = Image.frombuffer(mode, (width, height), data, "raw", kind, stride, 1)
-            else:
-                picture = Image.open(io.BytesIO(data), formats=_FORMATS)
-                if picture.width * picture.height > _PIXELS:
-                    raise UsageError("the picture is too large to be shown")
-                picture.draft("RGB", (_WIDEST, _WIDEST))  # of a JPEG no more is unpacked
-            picture = picture.convert("RGB")
-            picture.thumbnail((_WIDEST, _WIDEST))
-        for quality in _QUALITIES:
-            written = io.BytesIO()
-            picture.save(written, "JPEG", quality=quality)
-            if written.getbuffer().nbytes <= _JPEG_OCTETS:
-                break
-    except (*_DAMAGED, Image.DecompressionBombError) as error:
-        raise UsageError(f"it is no picture that can be shown: {error}") from error
-    return ImageContent(data=base64.b64encode(written.getvalue()).decode(), mime_type="image/jpeg")
+    with _unpacking:
+        if getattr(message["data"], "nbytes", 0) > MOST_OCTETS:  # its octets repeat, perhaps
+            raise UsageError("the picture is too large to be shown")
+        data = bytes(message["data"])
+        if isinstance(width, int) and isinstance(height, int):
+            kind = _RAW.get(encoding)
+            if kind is None or not 0 < width * height <= _PIXELS:
+                raise UsageError(f"pictures of encoding {encoding!r:.50} are not shown")
+            mode = kind.replace("BGR", "RGB")
+            step = message.get("step")
+            stride = step if isinstance(step, int) else 0
+            picture = Image.frombuffer(mode, (width, height), data, "raw", kind, stride, 1)
+        else:
+            picture = Image.open(io.BytesIO(data), formats=_FORMATS)
+            if picture.width * picture.height > _PIXELS:
+                raise UsageError("the picture is too large to be shown")
+            picture.draft("RGB", (_WIDEST, _WIDEST))  # of a JPEG no more is unpacked
+        picture = picture.convert("RGB")
+        picture.thumbnail((_WIDEST, _WIDEST))
+    for quality in _QUALITIES:
+        written = io.BytesIO()
+        picture.save(written, "JPEG", quality=quality)
+        if written.getbuffer().nbytes <= _JPEG_OCTETS:
+            break
+    return written.getvalue()
 
 
 def succeeded(
