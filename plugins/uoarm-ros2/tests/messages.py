@@ -37,6 +37,17 @@ def default_of(native: type) -> Any:
     return reader(shape_of(native, native.__name__))(native())
 
 
+def attributes(value: Any) -> Any:
+    """A native object as a message, by what ROS 2 generated alone."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {
+            name: attributes(getattr(value, name)) for name in value.get_fields_and_field_types()
+        }
+    if isinstance(value, list):
+        return [attributes(item) for item in value]
+    return value[0] if isinstance(value, bytes) else value
+
+
 @st.composite
 def messages_of(draw: st.DrawFn, record: RecordType) -> Any:
     """Messages of a type, with the boundaries of every scalar among them.

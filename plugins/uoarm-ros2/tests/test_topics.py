@@ -742,7 +742,7 @@ def test_a_mistake_in_an_address_is_found_without_middleware(
 
 def test_a_message_that_does_not_fit_is_the_senders_mistake(bridge: Bridge) -> None:
     out = sink(bridge, endpoint(Role.INPUT, "/outward", INT64, peer="optional"))
-    with pytest.raises(MessageError, match="field data: expected an integer"):
+    with pytest.raises(MessageError, match=r"\$\.data: expected an integer"):
         out.send({"data": "1"})
     out.close()
     with pytest.raises(BridgeError, match="is closed"):

@@ -30,7 +30,6 @@ from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
 from uoarm_ros2._channels import PublisherSink, SameTopicLink, SerialisedRelay, SubscriptionSource
-from uoarm_ros2._conversion import writer
 from uoarm_ros2._diagnostics import DiagnosticsReader
 from uoarm_ros2._discovery import NodePresence, Ros2Graph, discovered
 from uoarm_ros2._health import SimulatedClock
@@ -56,7 +55,7 @@ from uoarm_ros2._services import OtherServers, ServiceClient, ServiceServer
 from uoarm_ros2._topic_endpoint import TopicContext
 from uoarm_ros2._transforms import FrameLookups
 from uoarm_ros2._type_finder import DESCRIPTION_SERVICE, DefinedTypes, TypeFinder
-from uoarm_ros2._types import ACTION, import_type, is_described, is_large, shape_of
+from uoarm_ros2._types import ACTION, import_type, is_large, shape_of
 
 _UNUSED_SECONDS = 10.0
 _Key = tuple[str, str]
@@ -331,10 +330,7 @@ class Ros2Bridge(Bridge):
                 action = self._reachable(address, leased.options)
                 return leased.until_closed(ActionSink(endpoint, action, address.part))
             context = self._topic_context(endpoint, address, leased.options)
-            shape = shape_of(context.native, context.topic.type)
-            write: Callable[[Message], object] = writer(shape)
-            if is_described(context.native):
-                write = Codec(structure_of(shape)).encode
+            write = Codec(structure_of(shape_of(context.native, context.topic.type))).encode
             return leased.until_closed(self._wait_for_peer(PublisherSink(context, write)))
 
     def _call(

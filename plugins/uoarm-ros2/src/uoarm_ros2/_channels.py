@@ -82,12 +82,12 @@ class PublisherSink(Sink):
 
     Args:
         context: where to publish.
-        write: makes what is published (a native object or serialised bytes) of a message.
+        write: makes the octets that are published of a message.
     """
 
     parallel = True
 
-    def __init__(self, context: TopicContext, write: Callable[[Message], Any]) -> None:
+    def __init__(self, context: TopicContext, write: Callable[[Message], bytes]) -> None:
         super().__init__(context.endpoint)
         # Guards the count: a stop message is sent from another thread than commands.
         self._counting = threading.Lock()
@@ -106,12 +106,12 @@ class PublisherSink(Sink):
             MessageError: it does not fit the native type; the text names the field.
             BridgeError: the channel was closed while it sends, or the middleware took nothing.
         """
-        native = self._write(message)
+        octets = self._write(message)
         native_publisher = self._publisher.native
         try:
-            self._publish(native_publisher, native)
+            self._publish(native_publisher, octets)
         except Exception as error:  # noqa: BLE001 - raised again there, unless it can be helped
-            self._publish_anyway(native, native_publisher, error)
+            self._publish_anyway(octets, native_publisher, error)
         self._health.passed()
         if self._publisher.reaches_none():
             with self._counting:
@@ -155,14 +155,14 @@ class PublisherSink(Sink):
         """Return counters, the matched subscriptions and the policies in force."""
         return {**self._publisher.facts(), "lost_on_link": self._lost}
 
-    def _publish(self, native_publisher: Any, native: Any) -> None:
+    def _publish(self, native_publisher: Any, octets: bytes) -> None:
         """Publish; what waits for room in a full history must not keep the interpreter's lock."""
         if self.blocking:
-            publish_released(native_publisher, native)
+            publish_released(native_publisher, octets)
         else:
-            native_publisher.publish(native)
+            native_publisher.publish(octets)
 
-    def _publish_anyway(self, native: Any, native_publisher: Any, error: Exception) -> None:
+    def _publish_anyway(self, octets: bytes, native_publisher: Any, error: Exception) -> None:
         """Publish with the publisher that took the place of one, or once the history has room.
 
         The rmw itself waits for room a tenth of a second only.
@@ -173,7 +173,7 @@ class PublisherSink(Sink):
                 text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
                 raise BridgeError(text, FailureReason.CLOSED) from error
             if self._context.runner.is_cut_off:
-                self._publish_last(native, native_publisher)
+                self._publish_last(octets, native_publisher)
                 return
             waits = self.blocking and _FULL in str(error) and time.monotonic() < deadline
             if native_publisher is self._publisher.native and not waits:
@@ -181,15 +181,15 @@ class PublisherSink(Sink):
                 raise BridgeError(text, FailureReason.UNAVAILABLE) from error
             native_publisher = self._publisher.native
             try:
-                self._publish(native_publisher, native)
+                self._publish(native_publisher, octets)
             except Exception as another:  # noqa: BLE001 - looked at in the next round
                 error = another
             else:
                 return
 
-    def _publish_last(self, native: Any, native_publisher: Any) -> None:
+    def _publish_last(self, octets: bytes, native_publisher: Any) -> None:
         try:
-            publish_released(native_publisher, native)
+            publish_released(native_publisher, octets)
         except OSError as error:
             text = f"topic {self._context.topic.name} takes no message: {error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error

@@ -12,15 +12,16 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from attrs import frozen
 
+from uoarm.cdr import BASIC
 from uoarm_ros2._schema import integer_range
-from uoarm_ros2._types import NUMBER_CODES, ScalarType, StringType
+from uoarm_ros2._types import ScalarType, StringType
 
 _LOWER = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _UPPER = re.compile(r"[A-Z](?:_?[A-Z0-9])*")
 _MESSAGE = re.compile(r"[A-Z][A-Za-z0-9]*")
 _ENDINGS = ("_Request", "_Response", "_Goal", "_Result", "_Feedback")
-_SCALARS = frozenset({"bool", "byte", "char", *NUMBER_CODES})
 _TEXTS = frozenset({"string", "wstring"})
+_SCALARS = BASIC.keys() - _TEXTS
 _OF_ROS1 = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 _SEPARATOR = "---"
 _QUOTES = ('"', "'")

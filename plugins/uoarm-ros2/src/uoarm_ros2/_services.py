@@ -19,7 +19,7 @@ from attrs import define, field, frozen
 from uoarm.bridge import Channel, Handler, Log, ServedRequests, text_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
-from uoarm_ros2._conversion import fitting, reader, writer
+from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._discovery import Ros2Graph, ServerPresence
 from uoarm_ros2._health import Report
 from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
@@ -243,6 +243,14 @@ class OtherServers:
             nodes = ", ".join(named) or "another node"
             text = f"{self._name} is served by {nodes}, too: clients take the reply that is first"
             self._report(Health.DEGRADED, text)
+
+
+def fitting(text: str, kind: StringType) -> str:
+    """Return as much as a string holds of a text that can be encoded, without NUL."""
+    encoding, unit = ("utf-16-le", 2) if kind.wide else ("utf-8", 1)
+    octets = text.replace("\0", "").encode(encoding)
+    most = None if kind.bound is None else kind.bound * unit
+    return octets[:most].decode(encoding, "ignore")
 
 
 def _reason_of(reply: RecordType) -> StringType | None:

@@ -59,7 +59,7 @@ def described_type(description: Message, name: str, definition: str) -> type:
         BridgeError: the description is none of this type, or is more than is taken.
     """
     reading = _DescriptionReader(description, name)
-    return reading.record(name, definition, 0).native
+    return _untyped(reading.record(name, 0), definition)
 
 
 class _DescriptionReader:
@@ -74,7 +74,7 @@ class _DescriptionReader:
         self._types = {item["type_name"]: item["fields"] for item in (*referenced, own)}
         self._left = _MOST_FIELDS
 
-    def record(self, name: str, definition: str, depth: int) -> RecordType:
+    def record(self, name: str, depth: int) -> RecordType:
         """Return the shape of one of the types."""
         fields = self._types.get(name)
         if fields is None:
@@ -87,19 +87,15 @@ class _DescriptionReader:
         if self._left < 0:
             raise self._refused(f"more than {_MOST_FIELDS} fields")
         read = tuple(self._field(field, depth) for field in fields if field["name"] != EMPTY)
-        slots = tuple(field.attribute for field in read)
-        if len(set(slots)) != len(slots):
+        if len({field.name for field in read}) != len(read):
             raise self._refused(f"{name} has two fields of one name")
-        native: Any = untyped_class(name, definition, {"__slots__": slots})
-        record = RecordType(name, native, read, {}, slots)
-        native.described = record
-        return record
+        return RecordType(name, object, read, {})
 
     def _field(self, field: Mapping[str, Any], depth: int) -> RecordField:
         name = field["name"]
         if not _FIELD.fullmatch(name):
             raise self._refused(f"a field is called {name!r:.60}")
-        return RecordField(name, f"_{name}", self._shape(field["type"], depth))
+        return RecordField(name, self._shape(field["type"], depth))
 
     def _shape(self, kind: Mapping[str, Any], depth: int) -> Shape:
         many, number = divmod(kind["type_id"] - 1, KINDS)
@@ -114,7 +110,7 @@ class _DescriptionReader:
         self, number: int, kind: Mapping[str, Any], depth: int
     ) -> ScalarType | StringType | RecordType:
         if number == NESTED:
-            return self.record(kind["nested_type_name"], "", depth + 1)
+            return self.record(kind["nested_type_name"], depth + 1)
         if number in TEXTS:
             bound = kind["string_capacity"] if number in BOUNDED_TEXTS else None
             return StringType(wide=TEXTS[number], bound=bound)
@@ -164,13 +160,20 @@ class DefinedTypes:
                     raise BridgeError(text, FailureReason.UNSUPPORTED) from error
                 if record is None:
                     return None
-                self._found[name] = untyped_record(record).native
+                self._found[name] = untyped(record)
             return self._found[name]
 
 
-def untyped_record(record: RecordType) -> RecordType:
-    """Return a record with a class of its own, through which serialised messages pass."""
-    return _native(record, type_hash(record), {})
+def untyped(record: RecordType) -> type:
+    """Return a class for a record, through which serialised messages pass."""
+    return _untyped(record, type_hash(record))
+
+
+def _untyped(record: RecordType, definition: str) -> type:
+    native: Any = untyped_class(record.name, definition, {})
+    native.described = evolve(record, native=native)
+    made: type = native
+    return made
 
 
 def _installed(name: str) -> RecordType | None:
@@ -192,27 +195,6 @@ def _sound(reading: DefinitionReader, name: str) -> RecordType | None:
     return reading.record(name) if name in reading else None
 
 
-def _native(record: RecordType, definition: str, made: dict[str, RecordType]) -> RecordType:
-    """Return a record with classes of its own throughout; only the outermost needs its hash."""
-    if record.name in made:
-        return made[record.name]
-    fields = tuple(_field(field, made) for field in record.fields)
-    slots = tuple(field.attribute for field in fields)
-    native: Any = untyped_class(record.name, definition, {"__slots__": slots})
-    native.described = RecordType(record.name, native, fields, record.constants, slots)
-    made[record.name] = native.described
-    return made[record.name]
-
-
-def _field(field: RecordField, made: dict[str, RecordType]) -> RecordField:
-    shape: Shape = field.shape
-    if isinstance(shape, RecordType):
-        shape = _native(shape, "", made)
-    elif isinstance(shape, ArrayType) and isinstance(shape.element, RecordType):
-        shape = evolve(shape, element=_native(shape.element, "", made))
-    return evolve(field, attribute=f"_{field.name}", shape=shape)
-
-
 DESCRIPTION_SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 _MOST_KEPT = 4_096
 _TRANSFORM = "geometry_msgs/msg/TransformStamped"
@@ -222,8 +204,8 @@ _TRANSFORM = "geometry_msgs/msg/TransformStamped"
 def tf_message() -> type:
     """Return the class for `tf2_msgs/msg/TFMessage`, which no index of packages has."""
     element = shape_of(import_type(_TRANSFORM), _TRANSFORM)
-    field = RecordField("transforms", "transforms", ArrayType(element))
-    return untyped_record(RecordType(TF_MESSAGE, object, (field,), {}, ())).native
+    field = RecordField("transforms", ArrayType(element))
+    return untyped(RecordType(TF_MESSAGE, object, (field,), {}))
 
 
 @define(eq=False, slots=False)

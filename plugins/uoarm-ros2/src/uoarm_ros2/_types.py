@@ -20,7 +20,6 @@ from typing import Any, TypeAlias
 from attrs import field, frozen
 
 from uoarm.bridge import did_you_mean, text_of
-from uoarm.cdr import BASIC
 from uoarm.errors import BridgeError, FailureReason
 
 MESSAGE, SERVICE, ACTION = "msg", "srv", "action"
@@ -98,10 +97,6 @@ def import_type(name: str) -> type:
     return found
 
 
-_NO_NUMBERS = {"bool", "byte", "char", "string", "wstring"}
-NUMBER_CODES = {name: code for name, code in BASIC.items() if name not in _NO_NUMBERS}
-"""How `array` and `struct` call the elements of a block of numbers."""
-
 _MAX_DEPTH = 32
 _OCTETS = frozenset({"byte", "char", "int8", "uint8"})
 _SCALARS = {
@@ -143,10 +138,9 @@ class ArrayType:
 
 @frozen
 class RecordField:
-    """One named member of a record; `attribute` is where its native object keeps it."""
+    """One named member of a record."""
 
     name: str
-    attribute: str
     shape: Shape
     default: object = field(default=None, hash=False)
 
@@ -160,22 +154,15 @@ class RecordType:
         native: the Python class.
         fields: members in the order of the definition.
         constants: named constants of the definition.
-        slots: every attribute of the native object.
     """
 
     name: str
     native: type
     fields: tuple[RecordField, ...]
     constants: Mapping[str, object]
-    slots: tuple[str, ...]
 
 
 Shape: TypeAlias = "ScalarType | StringType | ArrayType | RecordType"
-
-
-def is_described(native: type) -> bool:
-    """Whether a class stands for a type of which there is only a description."""
-    return "described" in vars(native)
 
 
 def is_large(shape: Shape) -> bool:
@@ -211,7 +198,6 @@ def _shape_of(native: type, name: str, depth: int) -> RecordType:
     try:
         names: Mapping[str, str] = native.get_fields_and_field_types()  # type: ignore[attr-defined]  # generated
         types: tuple[object, ...] = native.SLOT_TYPES  # type: ignore[attr-defined]  # generated
-        slots = tuple(native.__slots__)  # type: ignore[attr-defined]  # generated
     except AttributeError as error:
         text = f"{name}: {native!r} is not a generated ROS 2 type ({error})"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT) from error
@@ -221,13 +207,12 @@ def _shape_of(native: type, name: str, depth: int) -> RecordType:
     fields = tuple(
         RecordField(
             field_name,
-            f"_{field_name}" if f"_{field_name}" in slots else field_name,
             _shape(kind, f"{name}.{field_name}", depth),
             _plain(getattr(native, f"{field_name.upper()}__DEFAULT", None)),
         )
         for field_name, kind in zip(names, types, strict=True)
     )
-    return RecordType(name, native, fields, _constants(native), slots)
+    return RecordType(name, native, fields, _constants(native))
 
 
 def _shape(kind: object, where: str, depth: int) -> Shape:
@@ -327,7 +312,7 @@ def _collect(record: RecordType, within: dict[str, RecordType]) -> None:
 
 
 def _described(record: RecordType) -> dict[str, Any]:
-    fields = record.fields or (RecordField(EMPTY, EMPTY, ScalarType("uint8")),)
+    fields = record.fields or (RecordField(EMPTY, ScalarType("uint8")),)
     return {
         "type_name": record.name,
         "fields": [{"name": field.name, "type": _kind(field.shape)} for field in fields],

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from attrs import field, frozen
 
 from uoarm.bridge import install_command, shown, text_of
+from uoarm.cdr import BASIC
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
 from uoarm_ros2._message_file import (
@@ -51,9 +52,6 @@ _MAX_OCTETS = 1 << 20
 _MAX_DEPTH = 32
 _MAX_FIELDS = 20_000
 _INCLUDE = re.compile(r"^\s*#\s*include\b.*$", re.MULTILINE)
-_SCALARS = frozenset({"bool", "byte", "char", "float32", "float64"}) | {
-    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
-}
 
 
 @frozen
@@ -212,9 +210,7 @@ class DefinitionReader:
             raise ValueError(f"{name}: nested more than {_MAX_DEPTH} deep")
         part = self._parts[name]
         fields = tuple(
-            RecordField(
-                member.name, member.name, self._shape(member, part, depth), _default(member)
-            )
+            RecordField(member.name, self._shape(member, part, depth), _default(member))
             for member in part.parsed.members
             if member.name != EMPTY
         )
@@ -222,7 +218,7 @@ class DefinitionReader:
         if size > _MAX_FIELDS:
             raise ValueError(f"{name} has more than {_MAX_FIELDS:,} fields, those within counted")
         self._sizes[name] = size
-        self._records[name] = RecordType(name, object, fields, part.parsed.constants, ())
+        self._records[name] = RecordType(name, object, fields, part.parsed.constants)
         return self._records[name]
 
     def _shape(self, member: ParsedField, part: _Part, depth: int) -> Shape:
@@ -304,7 +300,7 @@ def _kind(field: Any) -> ParsedType:
         element = reference
     elif reference.value in {"string", "wstring"}:
         element = StringType(wide=reference.value == "wstring", bound=kind.str_size or None)
-    elif reference.value in _SCALARS:
+    elif reference.value in BASIC:
         element = ScalarType(reference.value)
     else:
         raise ValueError(f"{field.name} is of type {reference.value}, which ROS 2 does not have")
@@ -316,7 +312,7 @@ def _kind(field: Any) -> ParsedType:
 
 def _checked(kind: str, name: str, value: object) -> object:
     """Return the value of a constant, which must be one of its type."""
-    limits = integer_range(kind) if kind in _SCALARS else None
+    limits = integer_range(kind) if kind in BASIC else None
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if kind.startswith("float") and is_number:
         return float(value)  # type: ignore[arg-type]  # a number

@@ -5,7 +5,7 @@ signal handlers, its logging and its global executor are left to the application
 """
 
 from uoarm_ros2._middleware._actions import GoalRequest, GoalServer
-from uoarm_ros2._middleware._native import publish_released, untyped_class
+from uoarm_ros2._middleware._native import deserialised, publish_released, serialised, untyped_class
 from uoarm_ros2._middleware._node_runner import NodeRunner
 from uoarm_ros2._middleware._participant import Participant, environment
 from uoarm_ros2._middleware._translation import UNNAMED, Peer, rclpy_errors
@@ -17,8 +17,10 @@ __all__ = [
     "NodeRunner",
     "Participant",
     "Peer",
+    "deserialised",
     "environment",
     "publish_released",
     "rclpy_errors",
+    "serialised",
     "untyped_class",
 ]

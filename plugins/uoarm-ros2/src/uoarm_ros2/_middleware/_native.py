@@ -22,7 +22,7 @@ from typing import Any
 
 import rclpy
 from rclpy import get_rmw_implementation_identifier
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 from uoarm.errors import BridgeError, FailureReason
 
@@ -90,15 +90,14 @@ def _functions() -> tuple[Any, Any, Any, Any]:
     return find, publish, errors.rcutils_get_error_string, errors.rcutils_reset_error
 
 
-def publish_released(publisher: Any, message: Any) -> None:
-    """Publish a native object, or octets that are serialised already, without the lock.
+def publish_released(publisher: Any, octets: bytes) -> None:
+    """Publish octets of a message without the lock.
 
     Raises:
         OSError: the middleware takes nothing, for the reason that it gives, or its libraries are
             not found.
         InvalidHandle: the publisher was destroyed.
     """
-    octets = message if isinstance(message, bytes) else serialize_message(message)
     find, publish, *_ = _functions()
     given = _Octets(octets, len(octets), len(octets))
     with publisher.handle:
@@ -106,6 +105,18 @@ def publish_released(publisher: Any, message: Any) -> None:
         failed = native is None or publish(native, ctypes.byref(given), None)
     if failed:
         raise OSError(_error())
+
+
+def serialised(native: object) -> bytes:
+    """Return what goes over the wire for a native object."""
+    octets: bytes = serialize_message(native)
+    return octets
+
+
+def deserialised(octets: bytes, native: type) -> object:
+    """Return the native object of a class that octets hold."""
+    made: object = deserialize_message(octets, native)
+    return made
 
 
 @cache
