@@ -305,6 +305,17 @@ def test_a_log_raises_nothing(raised: BaseException, monkeypatch: pytest.MonkeyP
     log.log(logging.ERROR, "%s %s", "text", "another")
 
 
+def test_a_record_is_of_the_place_that_writes_it(caplog: pytest.LogCaptureFixture) -> None:
+    log = Log("uoarm.test")
+    log.warning("text")
+    log.log(logging.WARNING, "text")
+    for logger in ("uoarm.test", log, log.logger):
+        LimitedLog(logger).write(logging.WARNING, "text")
+    places = {(record.filename, record.funcName) for record in caplog.records}
+    assert len(caplog.records) == 5
+    assert places == {("test_raised.py", "test_a_record_is_of_the_place_that_writes_it")}
+
+
 def test_every_record_is_written_by_what_raises_nothing() -> None:
     """A handler that raises would keep what comes after a record from being done."""
     bare = re.compile(r"_log = logging\.getLogger\((?s:.*)_log\.(debug|info|warning|error|log)\(")

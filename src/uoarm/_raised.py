@@ -251,8 +251,8 @@ class Log:
         self, level: int, text: str, *values: object, exc_info: BaseException | None = None
     ) -> None:
         """Write a record, with the traceback of an exception."""
-        with suppress(Exception):
-            foreign(self.logger.log, level, text, *values, exc_info=exc_info)
+        with suppress(Exception):  # it is of the place that calls this, two frames above
+            foreign(self.logger.log, level, text, *values, exc_info=exc_info, stacklevel=3)
 
     debug = partialmethod(log, logging.DEBUG)
     info = partialmethod(log, logging.INFO)
@@ -307,10 +307,12 @@ class LimitedLog:
         logger = self._logger
         if isinstance(logger, str):
             logger = logging.getLogger(logger)
+        elif isinstance(logger, Log):
+            logger = logger.logger
         if isinstance(error, BridgeError) and error.__cause__ is not None:
             error = error.__cause__  # the text says already in which step that was raised
         shown = None if error is None else writable(from_own_frames(error))
         trace = None if error is None else error.__traceback__
         if isinstance(error, UoarmError) and trace is not None and _is_ours(trace.tb_frame):
             shown = None  # all of it is ours, and the text says more
-        logger.log(level, "%s", text, exc_info=shown)
+        logger.log(level, "%s", text, exc_info=shown, stacklevel=4)
