@@ -265,16 +265,23 @@ def test_a_text_that_quits_is_none() -> None:
 def test_what_an_error_of_uoarm_says_has_no_traceback_of_uoarm_alone(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    log = LimitedLog("uoarm.test", burst=2)
+    log = LimitedLog("uoarm.test", burst=3)
     with pytest.raises(ConfigurationError) as caught:
         loads("version: 2")
     error, trace = caught.value, caught.value.__traceback__
     assert trace is not None
     log.write(logging.WARNING, "here is who called", error)
     log.write(logging.WARNING, "as caught within uoarm", error.with_traceback(trace.tb_next))
-    first, second = caplog.records
+    plugin: dict[str, Any] = {"__name__": "uoarm_example._channels", "refused": error}
+    exec("def call():\n    raise refused", plugin)
+    with pytest.raises(ConfigurationError) as caught:
+        plugin["call"]()
+    trace = caught.value.__traceback__
+    assert trace is not None
+    log.write(logging.WARNING, "as raised by a plugin", error.with_traceback(trace.tb_next))
+    first, *others = caplog.records
     assert first.exc_info is not None
-    assert second.exc_info is None
+    assert [record.exc_info for record in others] == [None, None]
 
 
 def test_what_foreign_code_raises_is_written_within_bounds() -> None:

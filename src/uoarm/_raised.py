@@ -82,8 +82,8 @@ def foreign(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 def from_own_frames(error: BaseException) -> BaseException:
     """Have the traceback of an exception begin where foreign code does, and return it.
 
-    The calls of uoarm that led there say nothing to who wrote that code. Where all is of uoarm,
-    nothing is left out.
+    The calls of uoarm that led there say nothing to who wrote that code. Where all is of uoarm and
+    plugins, nothing is left out.
     """
     trace = error.__traceback__
     while trace is not None and _is_ours(trace.tb_frame):
@@ -94,8 +94,11 @@ def from_own_frames(error: BaseException) -> BaseException:
 
 
 def _is_ours(frame: FrameType) -> bool:
-    # By its file: modules of components are loaded under a name of uoarm's.
-    return frame.f_code.co_filename.startswith(_FOLDER)
+    """Say whether a frame is of uoarm, or of a plugin: those have names like uoarm's."""
+    # Of uoarm by its file: modules of components are loaded under a name of uoarm's.
+    name = frame.f_globals.get("__name__")
+    is_plugin = type(name) is str and name.startswith("uoarm_")
+    return is_plugin or frame.f_code.co_filename.startswith(_FOLDER)
 
 
 def _is_of_signal(trace: TracebackType | None) -> bool:
