@@ -64,7 +64,7 @@ def host(
     this machine, or those that are named. With --xmlrpc, answer what one bridge knows of its
     components to tools on this machine.
     """
-    hold_to("--join", "--machine", "--certificates", "--modules", "--silence")
+    hold_to("--join", "--certificates", "--modules", "--silence")
     hold_apart("--file", "--join")
     with reporting():
         if place is not None and machine is not None and port is None:
