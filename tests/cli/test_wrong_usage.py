@@ -93,7 +93,7 @@ def test_other_wrong_words_have_one_too(words: tuple[str, ...]) -> None:
         ("lock --format json", "--format belongs to --check, which is missing"),
         ("lock --check --against . --environment one", "give --against or --environment, not both"),
         ("check --strict", "--strict belongs to --recording, which is missing"),
-        ("host arm --xmlrpc 0 --machine hand", "--machine belongs to --join, which is missing"),
+        ("host arm --xmlrpc 0 --silence 5", "--silence belongs to --join, which is missing"),
         (
             "serve --front-end-port rosbridge=9090 --rosbridge-port 9091",
             "a front end has one further port, and is given two",

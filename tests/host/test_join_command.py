@@ -21,6 +21,7 @@ from uoarm.cli import main
         "--machine arm",
         "--join tls/127.0.0.1:7447",
         "one two --xmlrpc 0",
+        "arm --xmlrpc 0 --machine hand",
         "far --xmlrpc 0 --join tls/127.0.0.1:7447 --machine arm",
     ],
 )

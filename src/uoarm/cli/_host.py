@@ -69,7 +69,7 @@ def host(
     with reporting():
         if place is not None and machine is not None and port is None:
             _join(place, machine, bridges, certificates, modules, silence)
-        elif port is not None and place is None and len(bridges) == 1:
+        elif port is not None and place is None and machine is None and len(bridges) == 1:
             _answer(bridges[0], port, file)
         else:
             text = "give --join PLACE and --machine NAME, or one BRIDGE and --xmlrpc PORT"
