@@ -19,6 +19,7 @@ from uoarm_ros2._middleware import Peer, publish_released, rclpy_errors
 from uoarm_ros2._qos import KEEP_ALL_SECONDS, Policies, clashes, for_reading, for_writing
 from uoarm_ros2._topic_endpoint import TopicContext, TopicEndpoint, judge_by_entry
 
+_LARGE_OCTETS = 65_536
 _FULL = "cannot publish data"
 _LOSSLESS = QueuePolicy(policy=OverflowPolicy.BLOCK, timeout=KEEP_ALL_SECONDS)
 
@@ -156,8 +157,11 @@ class PublisherSink(Sink):
         return {**self._publisher.facts(), "lost_on_link": self._lost}
 
     def _publish(self, native_publisher: Any, octets: bytes) -> None:
-        """Publish; what waits for room in a full history must not keep the interpreter's lock."""
-        if self.blocking:
+        """Publish; what waits for room in a full history must not keep the interpreter's lock.
+
+        rclpy copies octets into memory that is new each time: half a millisecond of a picture.
+        """
+        if self.blocking or len(octets) >= _LARGE_OCTETS:
             publish_released(native_publisher, octets)
         else:
             native_publisher.publish(octets)
