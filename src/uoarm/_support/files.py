@@ -63,12 +63,9 @@ def read_octets(path: Path, limit: int) -> bytes:
 
 
 def _octets(path: Path, limit: int) -> bytes:
-    mode = path.stat().st_mode
-    if stat.S_ISDIR(mode):
+    if path.is_dir():
         raise ValueError("it is a folder")
-    if not stat.S_ISREG(mode):
-        raise ValueError("it is not a regular file")
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         raw = stream.read(limit + 1)
     if len(raw) > limit:
         raise ValueError(f"it has more than {limit:,} bytes")

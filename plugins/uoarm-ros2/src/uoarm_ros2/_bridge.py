@@ -25,11 +25,12 @@ from uoarm.bridge import (
     Source,
     on_failure,
 )
-from uoarm.cdr import Codec, definition_of
+from uoarm.cdr import definition_of
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
 from uoarm_ros2._channels import PublisherSink, SameTopicLink, SerialisedRelay, SubscriptionSource
+from uoarm_ros2._conversion import codec_of
 from uoarm_ros2._diagnostics import DiagnosticsReader
 from uoarm_ros2._discovery import NodePresence, Ros2Graph, discovered
 from uoarm_ros2._health import SimulatedClock
@@ -312,9 +313,9 @@ class Ros2Bridge(Bridge):
                 source = ActionSource(endpoint, action, address.part, deliver, self.report_channel)
                 return leased.until_closed(source)
             context = self._topic_context(endpoint, address, leased.options)
-            shown = structure_of(shape_of(context.native, context.topic.type))
+            shape = shape_of(context.native, context.topic.type)
             subscription = SubscriptionSource(
-                context, Codec(shown).decode, deliver, _definition(shown)
+                context, codec_of(shape).decode, deliver, _definition(structure_of(shape))
             )
             return leased.until_closed(self._wait_for_peer(subscription))
 
@@ -330,7 +331,7 @@ class Ros2Bridge(Bridge):
                 action = self._reachable(address, leased.options)
                 return leased.until_closed(ActionSink(endpoint, action, address.part))
             context = self._topic_context(endpoint, address, leased.options)
-            write = Codec(structure_of(shape_of(context.native, context.topic.type))).encode
+            write = codec_of(shape_of(context.native, context.topic.type)).encode
             return leased.until_closed(self._wait_for_peer(PublisherSink(context, write)))
 
     def _call(
@@ -456,7 +457,7 @@ class Ros2Bridge(Bridge):
 
     def _subscribe_to_clock(self) -> SimulatedClock:
         clock, native = SimulatedClock(), import_type(_CLOCK)
-        read = Codec(structure_of(shape_of(native, _CLOCK))).decode
+        read = codec_of(shape_of(native, _CLOCK)).decode
 
         def take(octets: bytes) -> None:
             with suppress(MessageError):

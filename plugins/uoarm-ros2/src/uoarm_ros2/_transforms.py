@@ -16,9 +16,9 @@ from typing import Any
 from attrs import define, field, frozen
 
 from uoarm.bridge import Description
-from uoarm.cdr import Codec
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
+from uoarm_ros2._conversion import codec_of
 from uoarm_ros2._discovery import Ros2Graph
 from uoarm_ros2._middleware import NodeRunner
 from uoarm_ros2._options import TF_MESSAGE, Ros2Address, Ros2Options
@@ -378,7 +378,7 @@ class _TransformListener:
         # wakes them with each message.
         self._changed = threading.Condition()
         self._buffer = TransformBuffer()
-        self._read = Codec(structure_of(shape_of(native, TF_MESSAGE))).decode
+        self._read = codec_of(shape_of(native, TF_MESSAGE)).decode
         self._unread = ""
         self._closed = False
         self.users = 0

@@ -420,8 +420,7 @@ def writer(made: RosType | None) -> Callable[[Message], Any]:
         made: its type; None: the server describes none, and anything that JSON has a form for
             passes, as the function's own structures were checked.
     """
-    plain = partial(plain_copy, leaf=array_as_lists)
-    write = plain if made is None else _writing(made, "$")
+    write = _writing(made, "$") if made else partial(plain_copy, leaf=array_as_lists)
 
     def write_fitting(message: Message) -> Any:
         try:
