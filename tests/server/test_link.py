@@ -15,12 +15,14 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.http11 import Response
 
+from uoarm._backoff import Backoff
 from uoarm._wire import TEXT_FORM
 from uoarm.client import RemoteRobot
 from uoarm.client._link import Link, Take
 from uoarm.client._socket import ClientSocket, Received
 from uoarm.errors import MessageError
 from uoarm.model import StatusEvent, to_json
+from uoarm.testing import patience
 
 HELLO = {"op": "Status", "type": "hello"}
 KEPT = {"op": "Reply", "id": "keep", "jsonMessage": {"key": "key", "seconds": 0.3}}
@@ -105,6 +107,16 @@ async def test_who_is_not_let_in_any_more_is_not_tried_again(
     await link.run()
     assert f"HTTP {status}" in link.closed
     assert (len(refusals) > 2) is is_tried_again
+
+
+async def test_connecting_again_ends_at_its_limit_also_between_two_attempts() -> None:
+    failing = asyncio.get_running_loop().create_future()
+    failing.set_exception(OSError("refused"))
+    link = begin(Socket(KEPT), again=failing)
+    link._backoff = Backoff(first=1e6, most=1e6)
+    await link.start(resume=True)
+    await asyncio.wait_for(link.run(), patience())
+    assert "connecting again failed: refused" in link.closed
 
 
 async def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:

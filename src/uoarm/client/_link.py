@@ -287,7 +287,7 @@ class Link:
                     self._is_final = True
                     return why
                 failed += 1
-                await asyncio.sleep(self._backoff.pause(failed))
+                await asyncio.sleep(min(self._backoff.pause(failed), deadline - loop.time()))
             except _STRANGE as error:
                 self._is_final = True
                 return f"{cause}; {self._strange(error)}"

@@ -287,6 +287,27 @@ test("a clock that is set meanwhile ends no attempt to connect again", async (co
   robot.close();
 });
 
+test("connecting again ends at its limit, also between two attempts", async (context) => {
+  let now = 0;
+  context.mock.method(performance, "now", () => now);
+  context.mock.method(Math, "random", () => 1);
+  context.mock.timers.enable({ apis: ["setTimeout"] });
+  const connecting = connect("ws://x/", { WebSocket: Socket, reconnect: 60 });
+  Socket.made.at(-1).deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  let ended = 0;
+  Socket.made.at(-1).onclose({ code: 1006, reason: "" });
+  const asked = robot.status().catch(() => { ended = now; });
+  for (let last = null; !ended && now < 120_000; now += 50) {
+    if (Socket.made.at(-1) !== last) (last = Socket.made.at(-1)).onerror();
+    for (let turn = 0; turn < 5; turn += 1) await new Promise(setImmediate);
+    context.mock.timers.tick(50);
+    await new Promise(setImmediate);
+  }
+  await asked;
+  assert(ended <= 60_000, `${ended}`);
+});
+
 test("a stop waits for nothing that was sent before", async () => {
   const connecting = connect("ws://x/", { WebSocket: Socket });
   const first = Socket.made.at(-1);

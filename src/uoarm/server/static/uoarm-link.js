@@ -308,7 +308,7 @@ export class Link {
       }
       await new Promise((wake) => {
         this.#wake = wake;
-        setTimeout(wake, pause * (0.5 + Math.random() / 2));
+        setTimeout(wake, Math.min(pause * (0.5 + Math.random() / 2), (deadline - seconds()) * 1000));
       });
     }
     return new UoarmError("closed", trouble());
