@@ -240,7 +240,8 @@ def test_a_flow_that_is_open_since_the_line_came_back_is_not_opened_again() -> N
         assert isinstance(device, ProfileDevice)
         (flow,) = device._flows
         before = flow.id
-        device._open_again(flow, {})  # as the line's thread does, just after that
+        # As the line's thread does, just after that.
+        device._open_again(flow, device.catalogue(0.0))
         channel.close()
         return flow.id == before
 

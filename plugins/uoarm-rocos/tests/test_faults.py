@@ -227,6 +227,25 @@ def test_another_catalogue_after_reconnecting_is_refused_with_the_difference() -
             bridge.open_source(ODOMETRY, fresh, got)  # checked again, so it may be used again
 
 
+def test_a_service_is_well_again_only_with_the_catalogue_that_it_was_described_with() -> None:
+    with ExitStack() as stack:
+        with running(server(), TcpEnd()) as url:
+            bridge, events = stack.enter_context(bridged(robot={"url": url}))
+            for name in ("echo", "driveStraight"):
+                bridge.describe(endpoint("robot", name, "service"))
+
+        def judged() -> Any:
+            return events.until(lambda item: item.component and "disconnected" not in item.cause)
+
+        for catalogue, health in (
+            (other_catalogue(), Health.LOST),
+            (other_catalogue(), Health.LOST),  # the same once more mends nothing
+            (robot_catalogue(), Health.OK),
+        ):
+            with running(server(catalogue), TcpEnd(port_of(url))):
+                assert judged().health is health
+
+
 def test_a_serial_device_may_be_unplugged_and_plugged_in_elsewhere(tmp_path: Path) -> None:
     link = str(tmp_path / "robot-port")
     got, pulled = Events(), Event()

@@ -21,7 +21,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure
-from uoarm_rocos._catalogue import Api, Direction
+from uoarm_rocos._catalogue import Api, DeviceCatalogue, Direction, difference
 from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._channels import SinkChannel, SourceChannel
 from uoarm_rocos._codec import XmlCodec
@@ -114,7 +114,8 @@ class RocosBridge(Bridge):
         self._making = threading.Lock()
         self._devices: dict[str, Device] = {}
         self._described: dict[tuple[str, ...], Api] = {}
-        self._services: dict[tuple[str, str], set[str]] = {}
+        # Of each device, the services as components were described: by component and name.
+        self._services: dict[str, dict[tuple[str, str], Api]] = {}
 
     def facts(self) -> Mapping[str, object]:
         """Return how often the threads of lines turned for nothing."""
@@ -126,7 +127,7 @@ class RocosBridge(Bridge):
         api = self._find(endpoint)
         if direction is None:
             self._described[name, api_name] = api
-            self._services.setdefault((name, api_name), set()).add(endpoint.component)
+            self._services.setdefault(name, {})[endpoint.component, api_name] = api
         return describe(api, direction)
 
     def _open_source(
@@ -230,14 +231,16 @@ class RocosBridge(Bridge):
         return api
 
     def _device_changed(
-        self, device: str, health: Health, cause: str, apis: dict[str, str]
+        self, device: str, health: Health, cause: str, catalogue: DeviceCatalogue | None
     ) -> None:
         """Report what holds for services: flows report their own health."""
-        for (name, api), components in list(self._services.items()):
-            if name != device:
-                continue
+        changes: dict[str, list[str]] = {}
+        for (component, _), api in list(self._services.get(device, {}).items()):
+            found = changes.setdefault(component, [])
+            if catalogue is not None and (change := difference(api, catalogue)):
+                found.append(change)
+        for component, found in changes.items():
             worse, why = health, cause
-            if api in apis:
-                worse, why = Health.LOST, f"{HealthReason.REFUSED.value}: {apis[api]}"
-            for component in list(components):
-                self.report(worse, why, component=component)
+            if found:
+                worse, why = Health.LOST, f"{HealthReason.REFUSED.value}: {'; '.join(found)}"
+            self.report(worse, why, component=component)

@@ -148,6 +148,15 @@ def differences(before: DeviceCatalogue, after: DeviceCatalogue) -> dict[str, st
     return found
 
 
+def difference(api: Api, now: DeviceCatalogue) -> str:
+    """Return a sentence on what an API is no more in a catalogue; empty where it is as it was."""
+    there = now.apis.get(api.name)
+    if there is api or there == api:
+        return ""
+    both = [DeviceCatalogue("", {api.name: item} if item else {}) for item in (api, there)]
+    return differences(*both).get(api.name, "")
+
+
 def _changed(part: str, old: Fields, new: Fields) -> list[str]:
     sentences = []
     for name in sorted(old.keys() | new.keys()):

@@ -30,6 +30,7 @@ from uoarm_rocos._catalogue import (
     OpenMessage,
     ResultMessage,
     WireMessage,
+    difference,
     differences,
 )
 from uoarm_rocos._channels import ProfileFlow, ProfileInput, ProfileOutput, delivery_queue
@@ -240,7 +241,7 @@ class Conversation:
 
 
 _MOST_UNSAID = 1000
-Changed = Callable[[Health, str, "dict[str, str]"], None]
+Changed = Callable[[Health, str, "DeviceCatalogue | None"], None]
 
 
 class ProfileDevice(LineDevice):
@@ -257,7 +258,8 @@ class ProfileDevice(LineDevice):
         wire: the replaceable parts: transport, framer, codec.
         timing: limits.
         catalogue: what the device offers, where it is not to be asked.
-        changed: called with the line's health, and APIs that changed, from the line's thread.
+        changed: called with the line's health and cause, and what the device offers now where that
+            was asked or stated, from the line's thread.
     """
 
     def __init__(
@@ -352,9 +354,9 @@ class ProfileDevice(LineDevice):
         found = {} if before is None else differences(before, catalogue)
         text = "connected again" if before is not None else "connected"
         cause = f"the device has another catalogue: {'; '.join(found.values())}"
-        self._changed(Health.OK, cause if found else text, found)
+        self._changed(Health.OK, cause if found else text, catalogue)
         for flow in flows:
-            self._open_again(flow, found)
+            self._open_again(flow, catalogue)
 
     def on_message(self, message: WireMessage) -> None:
         """Take one message of the device; from the line's thread."""
@@ -387,7 +389,7 @@ class ProfileDevice(LineDevice):
         text = f"the line to {self.name} is lost: {cause}"
         health = self._disconnection.down(time.monotonic(), final=False)
         if health is not None:
-            self._changed(health, f"{HealthReason.DISCONNECTED.value}: {text}", {})
+            self._changed(health, f"{HealthReason.DISCONNECTED.value}: {text}", None)
         for flow in flows:
             flow.id = 0
             flow.monitor.connected(0, text)
@@ -405,11 +407,7 @@ class ProfileDevice(LineDevice):
         return f"flow {api.name} of {self.name}"
 
     def _check_same(self, api: Api) -> None:
-        now = self._known.apis.get(api.name) if self._known else None
-        if now is api or now == api:
-            return
-        both = [DeviceCatalogue("", {api.name: item} if item else {}) for item in (api, now)]
-        found = differences(*both).get(api.name)
+        found = difference(api, self._known) if self._known is not None else ""
         if found:
             text = f"{self.name} has another catalogue than the one that was checked: {found}"
             raise BridgeError(text, FailureReason.CONTRACT)
@@ -466,9 +464,9 @@ class ProfileDevice(LineDevice):
             answer.value()
             flow.monitor.connected()
 
-    def _open_again(self, flow: ProfileFlow, found: dict[str, str]) -> None:
-        if flow.api.name in found:
-            flow.monitor.refused(f"after reconnecting, {found[flow.api.name]}", final=True)
+    def _open_again(self, flow: ProfileFlow, catalogue: DeviceCatalogue) -> None:
+        if found := difference(flow.api, catalogue):
+            flow.monitor.refused(f"after reconnecting, {found}", final=True)
             return
         with self._state:
             if flow not in self._flows or self._by_id.get(flow.id) is flow:

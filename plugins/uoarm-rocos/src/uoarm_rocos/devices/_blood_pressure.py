@@ -199,7 +199,7 @@ class Monitor(LineDevice):
             self._is_there = True
             self._state.notify_all()
         self._disconnection.up()
-        self._changed(Health.OK, "the port is open", {})
+        self._changed(Health.OK, "the port is open", None)
 
     def received(self, data: bytes) -> None:
         """Answer each frame: accepted when a call takes it, refused when it is no reading."""
@@ -224,7 +224,7 @@ class Monitor(LineDevice):
         text = f"the line to {self.name} is lost: {cause}"
         health = self._disconnection.down(time.monotonic(), final=False)
         if health is not None:
-            self._changed(health, f"{HealthReason.DISCONNECTED.value}: {text}", {})
+            self._changed(health, f"{HealthReason.DISCONNECTED.value}: {text}", None)
         self._fail(LineError(text))
 
     def _fail(self, error: BridgeError) -> None:
