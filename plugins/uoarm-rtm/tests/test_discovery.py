@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -347,6 +347,71 @@ def test_contexts_that_are_always_new_come_to_an_end(monkeypatch: pytest.MonkeyP
     finally:
         orb.close()
     assert EndlessContext.made < 5_000
+
+
+@pytest.fixture
+def orb() -> Iterator[Orb]:
+    """The ORB, for what is served or called beside a bridge."""
+    made = Orb("127.0.0.1", ANSWERS)
+    yield made
+    made.close()
+
+
+def served_context(orb: Orb) -> str:
+    """A naming service that always has more names, and gives none; its address."""
+    import CosNaming
+    import CosNaming__POA
+
+    class Iterating(CosNaming__POA.BindingIterator):  # type: ignore[misc]
+        def next_n(self, most: int) -> tuple[bool, list[Any]]:
+            assert most
+            return True, []
+
+        def destroy(self) -> None:
+            """Do nothing."""
+
+    class Root(CosNaming__POA.NamingContext):  # type: ignore[misc]
+        def list(self, most: int) -> tuple[list[Any], Any]:
+            assert most
+            return [], iterator
+
+    iterator = orb.serve(Iterating())._narrow(CosNaming.BindingIterator)
+    return orb.text(orb.serve(Root()))
+
+
+def test_names_that_never_come_are_not_asked_for_again_and_again(orb: Orb) -> None:
+    assert NamingService(orb, served_context(orb), ANSWERS).names() == []
+
+
+def test_a_naming_service_that_takes_its_time_for_each_name_has_a_limit(
+    orb: Orb, names: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = NamingService(orb, names, ANSWERS)
+    service.bind("a.cxt/b.cxt/Deep.rtc", orb.reference(corbaloc(names)))
+    monkeypatch.setattr(_naming, "_MOST_SECONDS", 0.0)
+    with pytest.raises(BridgeTimeoutError, match="listing its names takes longer than 0 s"):
+        service.names()
+
+
+def test_a_naming_service_that_ends_as_it_is_read_says_nothing_of_its_names(
+    orb: Orb, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with NameServer() as server:
+        service = NamingService(orb, server.address, ANSWERS)
+        service.bind("a.cxt/Deep.rtc", orb.reference(corbaloc(server.address)))
+        read, contexts = NamingService._bindings, list[Any]()
+
+        def read_before_the_end(asked: NamingService, context: Any, *until: float) -> list[Any]:
+            contexts.append(context)
+            if len(contexts) == 2:
+                server.process.kill()
+                server.process.wait()
+            found: list[Any] = read(asked, context, *until)
+            return found
+
+        monkeypatch.setattr(NamingService, "_bindings", read_before_the_end)
+        with pytest.raises(BridgeError, match="the other side is gone"):
+            service.names()
 
 
 def test_the_plugin_imports_no_middleware() -> None:

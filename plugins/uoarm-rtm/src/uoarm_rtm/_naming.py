@@ -8,8 +8,8 @@ contexts that contain each other.
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable
-from contextlib import suppress
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -17,13 +17,14 @@ import CosNaming
 from attrs import frozen
 from omniORB import CORBA, URI
 
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._orb import MOST_CONNECTIONS, Orb, corba_errors, limit, narrowed
 
 _BATCH = 200
 _MOST_NAMES = 10_000
 _MOST_CONTEXTS = 1_000
 _DEEPEST = 16
+_MOST_SECONDS = 60.0  # for all of it: each answer may come just within its own limit
 _HOST = re.compile(r"[\w.\-]+(:\d{1,5})?|\[[0-9a-fA-F:]+\](:\d{1,5})?")
 
 
@@ -112,7 +113,7 @@ class NamingService:
     def names(self) -> list[Name]:
         """Return every object bound below the root, contexts aside."""
         found: list[Name] = []
-        self._walk(self._root(), (), found, [])
+        self._walk(self._root(), (), found, [], time.monotonic() + _MOST_SECONDS)
         return found
 
     @_afresh
@@ -184,16 +185,22 @@ class NamingService:
         return narrowed(inner, CosNaming.NamingContext, self._seconds, what)
 
     def _walk(
-        self, context: Any, path: tuple[Any, ...], found: list[Name], seen: list[Any]
+        self,
+        context: Any,
+        path: tuple[Any, ...],
+        found: list[Name],
+        seen: list[Any],
+        until: float,
     ) -> None:
         # Contexts that contain no name, and always new ones, would not end by the number of names.
         is_over = len(path) >= _DEEPEST or len(seen) >= _MOST_CONTEXTS
         if is_over or any(known._is_equivalent(context) for known in seen):
             return
         seen.append(context)
-        for binding in self._bindings(context):
+        for binding in self._bindings(context, until):
             if len(found) >= _MOST_NAMES:
                 return
+            self._require_time(until)
             name = (*path, *binding.binding_name)
             with corba_errors(f"{self._what}: resolving {path_of(list(name))!r}"):
                 try:
@@ -203,19 +210,31 @@ class NamingService:
             if binding.binding_type == CosNaming.nobject:
                 found.append(Name(path_of(list(name)), limit(reference, self._seconds)))
                 continue
-            with suppress(BridgeError):  # a context of another naming service, which may be gone
-                what = f"{self._what}: context {path_of(list(name))!r}"
+            what = f"{self._what}: context {path_of(list(name))!r}"
+            try:
                 inner = narrowed(reference, CosNaming.NamingContext, self._seconds, what)
-                self._walk(inner, name, found, seen)
+                self._walk(inner, name, found, seen, until)
+            except BridgeError:
+                # A context of another naming service may be gone. Where this one is, or hangs, it
+                # says nothing of what is bound there.
+                self._require_time(until)
+                self._root()
 
-    def _bindings(self, context: Any) -> list[Any]:
+    def _bindings(self, context: Any, until: float) -> list[Any]:
         with corba_errors(f"{self._what}: listing names"):
             bindings, rest = context.list(_BATCH)
             while rest is not None:
                 limit(rest, self._seconds)
                 more, batch = rest.next_n(_BATCH)
                 bindings += batch
-                if not more or len(bindings) >= _MOST_NAMES:
+                # One that has more, and gives none, would be asked for ever.
+                if not (more and batch) or len(bindings) >= _MOST_NAMES:
                     rest.destroy()
                     break
+                self._require_time(until)
         return list(bindings)
+
+    def _require_time(self, until: float) -> None:
+        if time.monotonic() > until:
+            text = f"{self._what}: listing its names takes longer than {_MOST_SECONDS:g} s"
+            raise BridgeTimeoutError(text)
