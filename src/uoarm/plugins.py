@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from attrs import field, frozen
 
@@ -24,6 +24,9 @@ from uoarm._support.files import (
     user_folder,
 )
 from uoarm.errors import CommandLineError
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 __all__ = [
     "CONTRACT_VERSION",
@@ -98,6 +101,11 @@ class CommandParser(argparse.ArgumentParser):
         """
         named = self.named_configuration(given)
         return named or os.environ.get("UOARM_CONFIG") or "robot.yaml"
+
+    def print_help(self, file: SupportsWrite[str] | None = None) -> None:
+        """Write the help, where argparse would say nothing of one for which there is no room."""
+        (sys.stdout if file is None else file).write(self.format_help())
+        sys.stdout.flush()
 
     def error(self, message: str) -> NoReturn:
         """Show how the command is used, and raise."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -88,12 +89,15 @@ def test_other_wrong_words_have_one_too(words: tuple[str, ...]) -> None:
         ("explain UOA-101 --markdown", "give CODE or --markdown, not both"),
         ("explain --json --markdown", "give --json or --markdown, not both"),
         ("apply lab.yaml --rollback 1", "give FILE or --rollback, not both"),
+        ("list lab.yaml --token t", "without --url there is no use for --token"),
+        ("status --every 5", "without --watch there is no use for --every"),
+        ("discover --every 5", "without --watch there is no use for --every"),
         ("doctor lab.yaml --service", "give FILE or --service, not both"),
-        ("doctor --unit robot", "--unit belongs to --service, which is missing"),
-        ("lock --format json", "--format belongs to --check, which is missing"),
+        ("doctor --unit robot", "without --service there is no use for --unit"),
+        ("lock --format json", "without --check there is no use for --format"),
         ("lock --check --against . --environment one", "give --against or --environment, not both"),
-        ("check --strict", "--strict belongs to --recording, which is missing"),
-        ("host arm --xmlrpc 0 --silence 5", "--silence belongs to --join, which is missing"),
+        ("check --strict", "without --recording there is no use for --strict"),
+        ("host arm --xmlrpc 0 --silence 5", "without --join there is no use for --silence"),
         (
             "serve --front-end-port rosbridge=9090 --rosbridge-port 9091",
             "a front end has one further port, and is given two",
@@ -234,13 +238,20 @@ def test_a_message_without_a_form_in_json_is_an_error_and_no_crash(
     assert (done.exit_code, "cannot be written as JSON" in done.stderr) == (1, True), done.output
 
 
-@pytest.mark.parametrize(
-    "name", ["pad", "", "yes", "a, b", "# x", "a\nb", "Jörg", "12", "\U0001f916"]
-)
+@pytest.mark.parametrize("name", ["pad", "yes", "a, b", "# x", "a\nb", "Jörg", "12", "\U0001f916"])
 def test_the_line_of_a_token_is_yaml_whatever_its_name_is(name: str) -> None:
     done = CliRunner().invoke(main, ["token", "--role", "driver: x", "--", name])
     [line] = yaml.safe_load(done.stdout)
     assert (line["name"], line["role"]) == (name, "driver: x")
+
+
+@pytest.mark.parametrize(
+    "words", [("", "--role", "a"), ("a", "--role", ""), ("\udcff", "--role", "a")]
+)
+def test_a_token_is_not_made_of_names_that_no_access_file_has(words: tuple[str, ...]) -> None:
+    done = CliRunner().invoke(main, ["token", *words])
+    assert (done.exit_code, "expected some text, got" in done.stderr) == (2, True), done.output
+    assert done.stdout == ""
 
 
 def test_a_command_of_a_plugin_that_is_not_installed_says_what_installs_it(
@@ -252,17 +263,28 @@ def test_a_command_of_a_plugin_that_is_not_installed_says_what_installs_it(
     assert "uoarm-remote" in done.stderr
 
 
-def test_help_for_which_there_is_no_room_is_said_as_anything_else() -> None:
+@pytest.mark.parametrize("unbuffered", ["", "1"], ids=["buffered", "unbuffered"])
+@pytest.mark.parametrize(
+    "words",
+    [("--help",), ("no-such-command", "--json"), ("list", "--no-such-option", "--json"),
+     *((name, "--help") for name in sorted(PLUGINS))],
+    ids=" ".join,
+)  # fmt: skip
+def test_help_for_which_there_is_no_room_is_said_as_anything_else(
+    words: tuple[str, ...], unbuffered: str
+) -> None:
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "uoarm", "--help"],
+            [sys.executable, "-m", "uoarm", *words],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
             check=False,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
             timeout=2 * patience(),
         )
     assert (done.returncode, "nothing more can be written" in done.stderr) == (1, True)
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -126,6 +126,7 @@ def test_it_is_a_command_of_uoarm() -> None:
         (["-f", "none.yaml"], 3, "none.yaml: the file cannot be read"),
         (["a.yaml", "--file", "none.yaml"], 2, "the configuration is named twice"),
         (["--browse", "--file", "a.yaml"], 2, "--browse reads no configuration: leave a.yaml out"),
+        (["--seconds", "1"], 2, "without --browse there is no use for --seconds"),
         (["--browse", "--seconds", "nan"], 2, "expected more than 0 and up to 60, got nan"),
         (["--browse", "--seconds", "x"], 2, "expected more than 0 and up to 60, got x"),
     ],

@@ -24,6 +24,7 @@ from uoarm.cli._shared import (
     every_option,
     fail,
     fitted,
+    hold_to,
     json_option,
     print_json,
     reporting,
@@ -58,6 +59,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
     Beside each stands who in the configuration has it. Plugins that the file does not mention are
     asked too, with their default options. Exit code 4 when no bridge could answer.
     """
+    hold_to("--watch", "--every")
     with looking(file) as (robot, _):
         findings = robot.discover(timeout=timeout)
         if as_json:

@@ -93,32 +93,32 @@ class PluginGroup(click.Group):
     ) -> click.Context:
         """Read the words before the command; what is wrong with them has a code of errors."""
         as_json = "--json" in args
-        try:
-            with _writing():
+        with _writing():
+            try:
                 context = super().make_context(info_name, args, parent, **extra)
-        except click.UsageError as error:
-            _fail_with_usage(error, as_json=as_json)
+            except click.UsageError as error:
+                _fail_with_usage(error, as_json=as_json)
         context.meta[JSON] = as_json
         return context
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command. Whatever ends it is said in one way, with its code of errors."""
-        try:
-            with _writing():
+        with _writing():
+            try:
                 return super().invoke(ctx)
-        except KeyboardInterrupt:  # which click would report as a failure, with the code of one
-            echo("interrupted", err=True)
-            sys.exit(INTERRUPTED)
-        except click.UsageError as error:
-            _fail_with_usage(error, as_json=bool(ctx.meta.get(JSON)))
-        except click.ClickException as error:
-            fail(error.format_message(), error.exit_code)
-        except UoarmError as error:
-            fail(error, exit_code_of(error))
-        except OSError as error:  # as where a folder may not be searched, or a name is too long
-            if error.filename is None:
-                raise
-            fail(f"{error.filename}: {error.strerror}", REFUSED, "UOA-003")
+            except KeyboardInterrupt:  # which click would report as a failure, with the code of one
+                echo("interrupted", err=True)
+                sys.exit(INTERRUPTED)
+            except click.UsageError as error:
+                _fail_with_usage(error, as_json=bool(ctx.meta.get(JSON)))
+            except click.ClickException as error:
+                fail(error.format_message(), error.exit_code)
+            except UoarmError as error:
+                fail(error, exit_code_of(error))
+            except OSError as error:  # as where a folder may not be searched
+                if error.filename is None:
+                    raise
+                fail(f"{error.filename}: {error.strerror}", REFUSED, "UOA-003")
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return our own commands, then those of plugins."""
@@ -166,7 +166,7 @@ class PluginGroup(click.Group):
 
 @contextmanager
 def _writing() -> Iterator[None]:
-    """Say that there is no room for what is printed, also for help."""
+    """Say that there is no room for what is printed, also for help and mistakes as JSON."""
     try:
         yield
     except OSError as error:

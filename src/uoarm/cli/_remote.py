@@ -21,6 +21,7 @@ from uoarm.cli._shared import (
     BRIDGE,
     fail,
     hold_apart,
+    hold_to,
     is_address,
     json_option,
     needing,
@@ -102,6 +103,9 @@ def remote_options(*, always: bool) -> Callable[[_Command], _Command]:
             if not always:
                 hold_apart("FILE", "--url")
                 hold_apart("--file", "--url")
+                hold_to(
+                    "--url", "--token", "--fingerprint", "--authority", "--certificate", "--key"
+                )
             given = {name: options.pop(name) for name in fields_dict(Remote)}
             server = None if given["url"] is None else _checked(Remote(**given))
             return command(*arguments, server=server, **options)

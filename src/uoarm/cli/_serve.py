@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from uoarm import RobotManager
+from uoarm._encodable import is_encodable
 from uoarm._forks import default_in_children
 from uoarm._raised import LimitedLog
 from uoarm._support.files import stamp_of, user_folder
@@ -248,9 +249,21 @@ def port_options(settings: ServerOptions) -> dict[int, str]:
     return {settings.port: "--port", **of_front_ends}
 
 
+def _checked_name(context: click.Context, parameter: click.Parameter, given: str) -> str:
+    """Refuse what an access file would refuse."""
+    if not given or not is_encodable(given):
+        raise click.BadParameter(f"expected some text, got {given!r}", context, parameter)
+    return given
+
+
 @click.command()
-@click.argument("name")
-@click.option("--role", required=True, help="Role of the access file that the token has.")
+@click.argument("name", callback=_checked_name)
+@click.option(
+    "--role",
+    required=True,
+    callback=_checked_name,
+    help="Role of the access file that the token has.",
+)
 def token(name: str, role: str) -> None:
     """Make a token for a client of `uoarm serve`.
 

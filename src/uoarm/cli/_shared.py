@@ -406,7 +406,8 @@ def hold_to(leading: str, *words: str) -> None:
     """
     given = _given(words)
     if given and not _given([leading]):
-        raise click.UsageError(f"{given[0]} belongs to {leading}, which is missing")
+        # It stands last: the word after `--token` would be hidden as a secret.
+        raise click.UsageError(f"without {leading} there is no use for {given[0]}")
 
 
 def _given(words: Sequence[str]) -> list[str]:

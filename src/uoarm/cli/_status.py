@@ -28,6 +28,7 @@ from uoarm.cli._shared import (
     every_option,
     fitted,
     hold_apart,
+    hold_to,
     json_option,
     open_robot,
     print_json,
@@ -191,6 +192,7 @@ def status(
     """
     hold_apart("--all", "--bridges", "--watch")
     hold_apart("--all", "--bridges", "--url")
+    hold_to("--watch", "--every")
     if managers:
         group = context.find_root().command
         assert isinstance(group, click.Group), "it is `uoarm`"

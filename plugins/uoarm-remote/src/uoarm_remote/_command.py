@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _FAILED = 4
 _INDENT = "  "
 _LEAST_WIDTH = 40
-_MOST_SECONDS = 60.0
+_USUAL_SECONDS, _MOST_SECONDS = 3.0, 60.0
 _CLAIMED = (
     "# Anything on the network can announce this: give a token only to a robot that is known."
 )
@@ -90,7 +90,9 @@ def main(arguments: list[str] | None = None) -> int:
         named = parser.named_configuration(given)
         if named is not None:
             parser.error(f"--browse reads no configuration: leave {named} out")
-        return _browse(given.seconds, as_json=given.json)
+        return _browse(given.seconds or _USUAL_SECONDS, as_json=given.json)
+    if given.seconds is not None:
+        parser.error("without --browse there is no use for --seconds")
     path = parser.configuration(given)
     registry = Registry()
     robot = load(path, registry.types)
@@ -192,8 +194,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--seconds",
         type=_seconds,
-        default=3.0,
-        help="how long --browse listens, up to 60; 3 by default",
+        help=f"how long --browse listens, up to 60; {_USUAL_SECONDS:g} by default",
     )
     parser.add_argument("--json", action="store_true", help="print a list as JSON")
     return parser
