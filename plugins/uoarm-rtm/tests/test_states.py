@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import ANSWERS, Make, Start, of, sink, source, stamped
+from _uoarm_rtm_stubs import OpenRTM
+from endpoints import ANSWERS, Make, Start, endpoint, of, sink, source, stamped
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_rtm._orb import calls
 
@@ -15,7 +16,7 @@ from uoarm import RobotManager
 from uoarm.bridge import Bridge, Channel, Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Role
-from uoarm.testing import Background, patience, wait
+from uoarm.testing import Background, Collector, patience, wait
 
 PORTS = {Role.OUTPUT: "out", Role.INPUT: "in"}
 
@@ -153,3 +154,24 @@ functions:
         assert "state ERROR" in numbers.candidates[0].cause
         with robot.request("numbers") as connection:
             assert provider(connection) == "second"
+
+
+def test_what_a_port_of_ours_does_not_take_is_reported(make_bridge: Make) -> None:
+    ours, theirs = make_bridge(), make_bridge("other")
+    events, got = Inbox(ours), Collector()
+    at = endpoint(Role.OUTPUT, "self", "numbers", "TimedLong")
+    channel = source(ours, at, got)
+    into = sink(theirs, endpoint(Role.INPUT, "uoarm_rtm.rtc", "numbers"))
+    lifecycle = endpoint(Role.SERVICE, "uoarm_rtm.rtc", "@lifecycle")
+    into.send(stamped(1))
+    with calls:
+        assert into._target.put(b"no message") == OpenRTM.PORT_ERROR
+    assert "port uoarm_rtm.numbers" in got.unread[0]
+    theirs.call(lifecycle, {"action": "deactivate"})
+    assert events.event(Health.DEGRADED, "has deactivated our component").channel is channel
+    into.send(stamped(2))
+    assert channel.facts()["lost_on_link"] == 1
+    theirs.call(lifecycle, {"action": "activate"})
+    assert events.event(Health.OK, "is active again").channel is channel
+    into.send(stamped(3))
+    assert [message["data"] for message in got.messages] == [1, 3]

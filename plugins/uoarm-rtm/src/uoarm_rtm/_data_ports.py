@@ -56,21 +56,21 @@ def _profile(kind: str, codec: CdrCodec) -> Mapping[str, str]:
 class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, without annotations
     """One connector's way into an InPort."""
 
-    def __init__(self, codec: CdrCodec, order: ByteOrder, take: Callable[[Message], None]) -> None:
+    def __init__(self, port: InPort, order: ByteOrder) -> None:
         self._records = LimitedLog(_log)
-        self._codec = codec
+        self._port = port
         self._order = order
-        self._take = take
 
     def put(self, data: bytes) -> Any:
         """Take one message (CORBA operation); a wrong one is answered with PORT_ERROR."""
         try:
-            message = self._codec.decode(data, self._order)
+            message = self._port.codec.decode(data, self._order)
         except MessageError as error:
             self._records.write(logging.WARNING, f"an InPort refuses data: {error}")
+            self._port.unreadable(f"port {self._port.name}: {error}")
             return OpenRTM.PORT_ERROR
         try:
-            foreign(self._take, message)
+            foreign(self._port.take, message)
         except Exception as error:  # noqa: BLE001 - whatever the listener raises stays here
             self._records.write(logging.ERROR, "an InPort's listener failed", error)
             return OpenRTM.UNKNOWN_ERROR
@@ -82,16 +82,16 @@ class _DataPort(PortServant):
 
     def __init__(self, orb: Orb, name: str, kind: str, codec: CdrCodec, seconds: float) -> None:
         super().__init__(orb, name, _profile(kind, codec), seconds)
-        self._codec = codec
+        self.codec = codec
 
     def _connector_options(self, profile: Any) -> ConnectorOptions:
         options = read_connector_options(properties_of(profile.properties))
-        mine = plain_name(self._codec.name)
+        mine = plain_name(self.codec.name)
         if (
             options.data_type
             and plain_name(options.data_type).split("/")[-1] != mine.split("/")[-1]
         ):
-            text = f"its data type is {options.data_type}, this port's is {self._codec.name}"
+            text = f"its data type is {options.data_type}, this port's is {self.codec.name}"
             raise ConnectorRefusal(text, RTC.BAD_PARAMETER)
         return options
 
@@ -117,6 +117,7 @@ class InPort(_DataPort):
         take: called with each message, in a thread of the ORB; one at a time a connector.
         seconds: limit of calls to other ports.
         rate: times a second that OutPorts of pull connectors are asked; 0: `fetch` asks.
+        unreadable: called with why, for each message that is none of its type; raises nothing.
     """
 
     def __init__(
@@ -127,9 +128,10 @@ class InPort(_DataPort):
         take: Callable[[Message], None],
         seconds: float,
         rate: float = 0.0,
+        unreadable: Callable[[str], object] = lambda _: None,
     ) -> None:
         super().__init__(orb, name, "DataInPort", codec, seconds)
-        self._take = take
+        self.take, self.unreadable = take, unreadable
         self._rate = rate
         self._inlets: dict[str, Any] = {}
         self._pulls: dict[str, tuple[Any, ByteOrder]] = {}
@@ -148,14 +150,14 @@ class InPort(_DataPort):
                 self.drop(connector)
                 continue
             if status == OpenRTM.PORT_OK:
-                self._take(self._codec.decode(data, order))
+                self.take(self.codec.decode(data, order))
                 count += 1
         return count
 
     def _publish(self, profile: Any) -> None:
         options = self._connector_options(profile)
         if options.push:
-            inlet = self.orb.serve(_Inlet(self._codec, options.order, self._take))
+            inlet = self.orb.serve(_Inlet(self, options.order))
             self._inlets[profile.connector_id] = inlet
             self._offer(profile, {INPORT_IOR: self.orb.text(inlet)})
 
@@ -170,7 +172,7 @@ class InPort(_DataPort):
             return
         properties = properties_of(profile.properties)
         limit(target, self._seconds + read_policies(properties)[0].longest_read)
-        inlet = _Inlet(self._codec, options.order, self._take)
+        inlet = _Inlet(self, options.order)
         self._pullers[connector] = Puller(
             target,
             self._rate,
@@ -245,10 +247,10 @@ class OutPort(_DataPort):
         with self._writing:
             for outlet in list(self._outlets.values()):
                 if outlet.order not in encoded:
-                    encoded[outlet.order] = self._codec.encode(message, outlet.order)
+                    encoded[outlet.order] = self.codec.encode(message, outlet.order)
                 outlet.writer.write(encoded[outlet.order])
             if not encoded:
-                self._codec.encode(message)
+                self.codec.encode(message)
 
     def _publish(self, profile: Any) -> None:
         options = self._connector_options(profile)

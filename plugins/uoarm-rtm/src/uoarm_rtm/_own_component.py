@@ -3,42 +3,82 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
-from uoarm.bridge import Channel, Sink, Source, on_failure
+from uoarm.bridge import (
+    Channel,
+    ChannelHealth,
+    ChannelMonitor,
+    Delivery,
+    Sink,
+    Source,
+    on_failure,
+)
 from uoarm.errors import BridgeError
-from uoarm.model import Deliver, Endpoint, Health, Message
+from uoarm.model import Endpoint, Health, Message
+from uoarm_rtm._data_ports import InPort
 from uoarm_rtm._descriptors import IdlInterface
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._services import ServicePort, servant_of
 from uoarm_rtm._types import Types
-from uoarm_rtm.component import ComponentProfile, RtComponent
+from uoarm_rtm.component import Callbacks, ComponentProfile, RtComponent
 
 
 class _OwnSource(Source):
     """An InPort of ours: what others write to it is delivered, one message at a time."""
 
     def __init__(
-        self, own: OwnComponent, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver
+        self, own: OwnComponent, endpoint: Endpoint, name: str, type_id: str, deliver: Delivery
     ) -> None:
         super().__init__(endpoint)
         self._own = own
         self._deliver = deliver
-        self._count = 0
-        rate = RtmEndpointOptions.of_endpoint(endpoint).rate
-        self._port = own.component.add_in_port(name, type_id, own.types, self._take, rate)
+        self._count = self._dropped = 0
+        full = f"{own.component.profile.name}.{name}"
+        health = ChannelHealth(f"port {full}", time.monotonic())
+        self._monitor = ChannelMonitor(health, partial(own.report, channel=self))
+        self._port = InPort(
+            own.orb,
+            full,
+            own.types.codec(type_id),
+            self._take,
+            own.seconds,
+            RtmEndpointOptions.of_endpoint(endpoint).rate,
+            deliver.unreadable,
+        )
+        own.component.add_port(self._port)
+        own.enter(self)
+
+    def judge(self) -> None:
+        """Report whether our component takes what comes: other programs may deactivate it."""
+        if self._own.is_active:
+            self._monitor.peer_reported(Health.OK, "our component is active again")
+        else:
+            text = "another program has deactivated our component: what comes is dropped"
+            self._monitor.peer_reported(Health.DEGRADED, text)
 
     def facts(self) -> Mapping[str, object]:
-        """Return the count of messages and of connectors."""
-        return {"count": self._count, "connectors": len(self._port.get_connector_profiles())}
+        """Return the counts of messages, of those that came while inactive, and of connectors."""
+        return {
+            "count": self._count,
+            "lost_on_link": self._dropped,
+            "connectors": len(self._port.get_connector_profiles()),
+        }
 
     def _take(self, message: Message) -> None:
+        if not self._own.is_active:
+            self._dropped += 1
+            return
         self._count += 1
         self._deliver(message)
 
     def _close(self) -> None:
+        self._monitor.close()
+        self._own.leave(self)
         self._own.component.remove_port(self._port)
 
 
@@ -77,7 +117,7 @@ class OwnComponent:
         services: naming services to be visible in.
         types: the bridge's types.
         seconds: limit of calls to other components.
-        report: takes (health, sentence) when its name is lost or bound again.
+        report: that of the bridge.
 
     Raises:
         BridgeError: no naming service answers.
@@ -90,22 +130,41 @@ class OwnComponent:
         services: Sequence[NamingService],
         types: Types,
         seconds: float,
-        report: Callable[[Health, str], None],
+        report: Callable[..., None],
     ) -> None:
-        self.types = types
-        self._orb = orb
+        self.types, self.orb, self.report, self.seconds = types, orb, report, seconds
         self._services = services
-        self._report = report
-        self._seconds = seconds
+        self.is_active = True
+        self._sources: dict[_OwnSource, None] = {}
         # Guards `_closed` while the name is looked up and bound, from `close` in another thread.
         self._binding = threading.Lock()
         self._closed = False
-        self.component = RtComponent(orb, ComponentProfile(name), seconds=seconds)
+        callbacks = Callbacks(
+            activated=partial(self._judge, is_active=True),
+            deactivated=partial(self._judge, is_active=False),
+        )
+        self.component = RtComponent(
+            orb, ComponentProfile(name), callbacks=callbacks, seconds=seconds
+        )
         self.component.lifecycle.activate()
         with on_failure(self.component.close):
             self._bind()
 
-    def source(self, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver) -> Source:
+    def enter(self, source: _OwnSource) -> None:
+        """Have a source notified whenever it is activated or deactivated; now, where it is not."""
+        self._sources[source] = None  # before the look, so that no change passes between
+        source.judge()
+
+    def leave(self, source: _OwnSource) -> None:
+        """Notify a source no more."""
+        self._sources.pop(source, None)
+
+    def _judge(self, *, is_active: bool) -> None:
+        self.is_active = is_active
+        for source in list(self._sources):
+            source.judge()
+
+    def source(self, endpoint: Endpoint, name: str, type_id: str, deliver: Delivery) -> Source:
         """Open an InPort of ours."""
         return _OwnSource(self, endpoint, name, type_id, deliver)
 
@@ -127,11 +186,11 @@ class OwnComponent:
         full = f"{self.component.profile.name}.{name}"
         options = RtmEndpointOptions.of_endpoint(endpoint)
         port = ServicePort(
-            self._orb,
+            self.orb,
             full,
             interface,
             servant,
-            self._seconds,
+            self.seconds,
             instance=options.instance,
             kind=options.interface,
             idl=idl,
@@ -160,7 +219,7 @@ class OwnComponent:
             except BridgeError:
                 continue  # the monitor reports that it is gone
             text = f"naming service {service.address} had forgotten us; bound again"
-            self._report(Health.OK, text)
+            self.report(Health.OK, text)
 
     def close(self) -> None:
         """Disappear."""
