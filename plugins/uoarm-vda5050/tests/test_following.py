@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import nullcontext
+from threading import Event
 from types import SimpleNamespace
 from typing import Any
 
@@ -164,6 +165,59 @@ def test_a_vehicle_that_falls_silent_while_it_cancels_is_followed_when_it_speaks
         wait(lambda: ends(news) == [("canceled", "cancelled")], lambda: f"{news}")
     finally:
         follower.close()
+
+
+def test_a_flood_of_states_is_bounded_and_hides_no_end_of_the_vehicle() -> None:
+    release = RELEASES["2.1"]
+    whole = state(VehicleState(release, frozenset()))
+    codec: Any = SimpleNamespace(split=lambda _: ({}, whole), encode=json.dumps)
+    link: Any = SimpleNamespace(
+        require_up=lambda: None, unsubscribe=lambda _: None, publish=lambda *_, **__: None
+    )
+    codecs = dict.fromkeys(("order", "instantActions", "state"), codec)
+    follower = VehicleFollower(
+        link, "v2/m/s", TransportState(release), patience(), codecs, lambda *_: None, 1000
+    )  # fmt: skip
+    came: Any = SimpleNamespace(payload=b" " * 100)
+    news: list[Any] = []
+    stuck, free = Event(), Event()
+
+    def listen(said: Any) -> None:
+        news.append(said)
+        stuck.set()
+        assert free.wait(patience())
+
+    try:
+        follower.goal(goal("a", "b", order="one"))
+        follower.join(listen)
+        follower._inbox.put(came)
+        assert stuck.wait(patience())
+        follower.connection(False, "it is gone")
+        for _ in range(100):
+            follower._inbox.put(came)
+        assert len(follower._inbox) <= 10
+        free.set()
+        wait(lambda: ends(news) == [("lost", "it is gone")], lambda: f"{news}")
+    finally:
+        free.set()
+        follower.close()
+
+
+def test_what_waits_for_a_slow_receiver_is_bounded_in_octets(broker: Broker) -> None:
+    got = Collector()
+    with (
+        driven(broker, "wordy", "b", state_seconds=0.01) as driver,
+        bridge_to(broker, max_octets=20_000) as bridge,
+    ):
+        feedback = endpoint("wordy", "transport", "feedback")
+        source = bridge.open_source(feedback, ANYTHING, got)
+        into = bridge.open_sink(endpoint("wordy", "transport", "goal"), ANYTHING)
+        driver.vehicle.raise_error("wordy", "w" * 15_000)
+        with got.held():
+            into.send(goal("a", "b"))
+            wait(lambda: source.facts()["lost_on_link"], lambda: str(source.facts()))
+            waiting: Any = source.facts()["under_way"]
+            assert waiting <= 8 * 20_000 // 15_000
 
 
 def test_states_that_were_not_followed_are_in_the_facts(broker: Broker) -> None:

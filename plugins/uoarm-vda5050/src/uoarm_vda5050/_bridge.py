@@ -92,8 +92,8 @@ class Vda5050Bridge(Bridge):
         follower = self._follow(place, endpoint)
         follower.greet(endpoint.component)
         if place.topic == TRANSPORT:
-            most = self._broker.options.backlog
-            return TransportSource(endpoint, place.part, follower, deliver, most)
+            limits = self._broker.options
+            return TransportSource(endpoint, place.part, follower, deliver, limits)
         codec = self._codec(place, structure)
         is_kept = place.topic in _RETAINED
         port = TopicOptions(qos=1 if place.topic == "connection" else 0, retain=is_kept)
@@ -181,6 +181,7 @@ class Vda5050Bridge(Bridge):
             options.state_timeout,
             codecs,
             partial(self._report_vehicle, vehicle),
+            self._broker.options.backlog_octets,
         )
 
     def _reading(

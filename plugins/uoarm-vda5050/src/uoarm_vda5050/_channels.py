@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
 from attrs import asdict, frozen
-from uoarm_mqtt.connection import BrokerConnection, ReceivedMessage, Receiver
+from uoarm_mqtt.connection import (
+    BrokerConnection,
+    ConnectionOptions,
+    ReceivedMessage,
+    Receiver,
+)
 
 from uoarm.bridge import (
     ChannelHealth,
@@ -24,7 +30,7 @@ from uoarm.bridge import (
     on_failure,
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Endpoint, Health, Message
+from uoarm.model import Budget, Endpoint, Health, Message
 from uoarm_vda5050._messages import HEADER_IDS, VdaCodec
 from uoarm_vda5050._orders import words_of
 from uoarm_vda5050._transport_state import Action, Feedback, GoalEnded, Send, Status, TransportState
@@ -55,6 +61,10 @@ class VehicleFollower:
         state_timeout: seconds without a state that can be read after which that is reported.
         codecs: of `order`, `instantActions` and `state`.
         on_health: is called with health, cause, and the component that it is for; "": all of it.
+        most_octets: of states that may wait to be taken.
+
+    Attributes:
+        octets: of the state that is being taken.
     """
 
     def __init__(
@@ -65,6 +75,7 @@ class VehicleFollower:
         state_timeout: float,
         codecs: Mapping[str, VdaCodec],
         on_health: Callable[[Health, str, str], object],
+        most_octets: int = 8 * Budget().octets,
     ) -> None:
         self._link, self._topic, self._codecs, self._on_health = link, topic, codecs, on_health
         self._transport, self._timeout = transport, state_timeout
@@ -78,8 +89,18 @@ class VehicleFollower:
         self._listeners: tuple[Callable[[News], object], ...] = ()
         self._unreadable = self._missed = 0
         self._last_id: int | None = None
+        self.octets = 0
+        # What is no state, and gave way to later states before it was taken: however many these
+        # are, that it came or went is not lost.
+        self._overtaken: deque[_Event] = deque()
         self._inbox: ReceiveQueue[_Event] = ReceiveQueue(
-            f"uoarm-vda5050-{topic}", self._take, _MOST_STATES, wake=self._wake
+            f"uoarm-vda5050-{topic}",
+            self._take_next,
+            _MOST_STATES,
+            most_size=most_octets,
+            size=_octets_of,
+            dropped=self._drop,
+            wake=self._wake,
         )
         self._receiver = Receiver(f"{topic}/state", self._inbox.put, qos=0)
 
@@ -144,8 +165,18 @@ class VehicleFollower:
                 callback for callback in self._listeners if callback != listener
             )
 
+    def _drop(self, event: _Event) -> None:
+        if isinstance(event, tuple | str):
+            self._overtaken.append(event)
+
+    def _take_next(self, event: _Event) -> None:
+        while self._overtaken:
+            self._take(self._overtaken.popleft())
+        self._take(event)
+
     def _take(self, event: _Event) -> None:
         now = time.monotonic()
+        self.octets = _octets_of(event)
         if isinstance(event, str):
             if self._reported[0] is not Health.OK:
                 self._on_health(*self._reported, event)
@@ -255,6 +286,10 @@ class VehicleFollower:
                     _log.warning("%s/%s cannot be sent: %s", self._topic, action.topic, why)
 
 
+def _octets_of(event: _Event) -> int:
+    return 0 if isinstance(event, tuple | str) else len(event.payload)
+
+
 _PARTS: Mapping[str, type[News]] = {"status": Status, "feedback": Feedback, "result": GoalEnded}
 
 
@@ -262,12 +297,22 @@ class TransportSource(Source):
     """Status changes, feedback or results of the transport orders of one vehicle."""
 
     def __init__(
-        self, endpoint: Endpoint, part: str, follower: VehicleFollower, deliver: Delivery, most: int
+        self,
+        endpoint: Endpoint,
+        part: str,
+        follower: VehicleFollower,
+        deliver: Delivery,
+        limits: ConnectionOptions,
     ) -> None:
         super().__init__(endpoint)
         self._kind, self._follower, self._deliver = _PARTS[part], follower, deliver
-        self._inbox: ReceiveQueue[News] = ReceiveQueue(
-            f"uoarm-vda5050-{part}", self._hand_over, most
+        # With each the octets of the state that it was read from.
+        self._inbox: ReceiveQueue[tuple[News, int]] = ReceiveQueue(
+            f"uoarm-vda5050-{part}",
+            lambda came: self._hand_over(came[0]),
+            limits.backlog,
+            most_size=limits.backlog_octets,
+            size=lambda came: came[1],
         )
         follower.join(self._take)
 
@@ -279,7 +324,7 @@ class TransportSource(Source):
     def _take(self, news: News) -> None:
         is_reading = isinstance(news, StateRead) and bool(news.unreadable or self.unreadable)
         if is_reading or isinstance(news, self._kind):
-            self._inbox.put(news)
+            self._inbox.put((news, self._follower.octets))
 
     def _hand_over(self, news: News) -> None:
         if not isinstance(news, StateRead):
