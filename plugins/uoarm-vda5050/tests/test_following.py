@@ -17,7 +17,7 @@ from uoarm_vda5050._messages import check_of
 from uoarm_vda5050._options import place_of
 from uoarm_vda5050._orders import Order
 from uoarm_vda5050._releases import HEADER, RELEASES, body_of
-from uoarm_vda5050._transport_state import Action, GoalEnded, Phase, TransportState
+from uoarm_vda5050._transport_state import Action, GoalEnded, Phase, Send, TransportState
 from uoarm_vda5050._vehicle_state import VehicleState
 
 from fleet import MAKER, bridge_to, driven, endpoint, goal
@@ -110,6 +110,45 @@ def test_an_order_that_is_not_cancelled_yet_keeps_others_away_and_says_why(relea
     assert ends(fleet.goal(goal("a", "b", order="two"), 0.0)[1]) == [
         ("rejected", "order 'one' is being cancelled; a state came that cannot be read: no number")
     ]
+
+
+def cancels(actions: list[Action]) -> list[dict[str, Any]]:
+    sent = [action.body for action in actions if isinstance(action, Send)]
+    instants = [action for body in sent for action in body.get("actions", ())]
+    return [action for action in instants if action["actionType"] == "cancelOrder"]
+
+
+@BOTH
+def test_an_order_that_comes_behind_its_cancellation_is_cancelled_again(release: str) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    fleet.goal(goal("a", "b", order="one"), 0.0)
+    (order,) = fleet.state(state(vehicle), 0.0)
+    for action in cancels(fleet.cancel("one", 0.0)):
+        vehicle.instant(action)
+    assert ends(fleet.state(state(vehicle), 0.0)) == [
+        ("canceled", "cancelled before the vehicle took it")
+    ]
+    assert isinstance(order, Send)
+    assert vehicle.order(order.body)
+    for action in cancels(fleet.state(state(vehicle), 9.0)):
+        vehicle.instant(action)
+    assert vehicle.is_idle
+
+
+@BOTH
+def test_an_abandoned_order_stays_so_where_its_goal_is_cancelled_before_it_is_sent(
+    release: str,
+) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    fleet.goal(goal("a", "b", order="one"), 0.0)
+    (order,) = fleet.state(state(vehicle), 0.0)
+    assert isinstance(order, Send)
+    assert vehicle.order(order.body)
+    assert ends(fleet.connection(False, "it is gone")) == [("lost", "it is gone")]
+    fleet.connection(True, "")
+    fleet.goal(goal("a", "b", order="one"), 1.0)
+    assert ends(fleet.cancel("one", 1.0)) == [("canceled", "cancelled before it was sent")]
+    assert cancels(fleet.state(state(vehicle), 9.0))
 
 
 def test_a_cancellation_is_finished_however_many_actions_follow_it() -> None:

@@ -37,7 +37,7 @@ class Lane:
         self.actions: list[Action] = []
         self.acts: Counter[str] = Counter()
         self.online = True
-        self.left = Counter(give=2, cancel=1, lose=1, die=1, restart=1)
+        self.left = Counter(give=2, cancel=1, lose=1, overtake=1, die=1, restart=1)
         self.goals = 0
 
     def key(self) -> str:
@@ -65,6 +65,8 @@ class Lane:
             yield Lane.arrive
             if self.left["lose"]:
                 yield Lane.lose
+            if self.left["overtake"] and len({topic for topic, _ in self.way[:2]}) > 1:
+                yield Lane.overtake
         if self.online:
             yield Lane.report
         if self.vehicle.task is not None:
@@ -97,6 +99,11 @@ class Lane:
     def lose(self) -> None:
         self.left["lose"] -= 1
         self.way.pop(0)
+
+    def overtake(self) -> None:
+        """Messages keep their order on each topic only."""
+        self.left["overtake"] -= 1
+        self.way[:2] = self.way[1::-1]
 
     def report(self) -> None:
         second, charge = self.vehicle.release.battery

@@ -168,7 +168,6 @@ class TransportState:
             which = "is being cancelled" if known.order_id in self._abandoned else "is under way"
             return order_id, _ended(order_id, "rejected", f"order {known.order_id!r} {which}")
         self._order, self._give_up_at = order, now + self.times.accept
-        self._abandoned.pop(order_id, None)
         if known is None:
             self.phase, self._repeat_at = Phase.ASKING, now + self.times.repeat
             return order_id, [Send("instantActions", state_request(self.release, self._new_id()))]
@@ -278,6 +277,7 @@ class TransportState:
         """Send the order, or follow it where the vehicle has it or has done it."""
         order = self._order
         assert order is not None, "there is a goal"
+        self._abandoned.pop(order.order_id, None)
         if known.order_id == order.order_id:
             return self._accepted(known, now)
         self.phase, self._old_errors = Phase.SENT, known.errors
@@ -356,7 +356,10 @@ class TransportState:
         assert order is not None, "there is a goal"
         shown = known if known is not None and known.order_id == order.order_id else None
         was_sent = self.phase in {Phase.SENT, Phase.UNDER_WAY}
-        if was_sent and status in {"lost", "aborted"} and (shown is None or shown.is_busy):
+        # One that no state has shown may come yet, behind what cancelled it, or an error that was
+        # taken for its refusal.
+        is_open = shown is None or (shown.is_busy and status in {"lost", "aborted"})
+        if was_sent and is_open:
             self._abandon(order.order_id)
         self.phase, self._order, self._update = Phase.NONE, None, None
         self._cancel_id, self._settle_at, self._old_errors = "", None, ()
