@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 
-from uoarm._plugins import cause_of, values_of
+from uoarm._plugins import cause_of, installed, values_of
 from uoarm._raised import foreign
 from uoarm.bridge import Registry
 from uoarm.errors import PluginError
@@ -19,7 +19,7 @@ def bridge_facts(
     registry: Registry, only: Container[str] | None = None
 ) -> dict[str, dict[str, str]]:
     """Return findings by bridge type, of these alone or of all; a doctor may load a middleware."""
-    points = {point.name: point for point in entry_points(group=_BRIDGES)}
+    points = {point.name: point for point in installed(_BRIDGES)}
     return {
         kind.name: _findings(kind.doctor or dict, points.get(kind.name))
         for kind in registry.types.values()
@@ -32,7 +32,7 @@ def plugin_facts(registry: Registry) -> dict[str, dict[str, str]]:
     facts = bridge_facts(registry)
     for problem in registry.problems:
         facts[problem.name] = {"usable": f"no: {problem.cause}"}
-    for point in sorted(entry_points(group=_GROUP), key=lambda point: point.name):
+    for point in sorted(installed(_GROUP), key=lambda point: point.name):
         try:
             checks = values_of(point, CheckHooks, "uoarm_checks", Check)
         except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything

@@ -59,7 +59,7 @@ def test_their_findings_are_shown_and_failures_named(monkeypatch: pytest.MonkeyP
         EntryPoint("gone", "no_such_module", "uoarm.checks"),
         EntryPoint("silent", "json", "uoarm.checks"),
     ]
-    monkeypatch.setattr(_checks, "entry_points", lambda group: points if "checks" in group else [])
+    monkeypatch.setattr(_checks, "installed", lambda group: points if "checks" in group else [])
     facts = plugin_facts(Registry([EntryPoint("python", "uoarm.local", "uoarm.bridges")]))
     assert facts["camera"] == {"usable": "yes", "lens": "clean"}
     assert facts["microphone"] == {"usable": "no: no camera: plug one in"}

@@ -46,7 +46,7 @@ def uoarm_definition_formats() -> list[DefinitionFormat]:
 @pytest.fixture(autouse=True)
 def plugins(monkeypatch: pytest.MonkeyPatch) -> list[EntryPoint]:
     points = [EntryPoint("mine", __name__, "uoarm.definitions")]
-    monkeypatch.setattr(_compare, "entry_points", lambda group: points)
+    monkeypatch.setattr(_compare, "installed", lambda group: points)
     return points
 
 

@@ -61,7 +61,7 @@ def point(value: str) -> EntryPoint:
 def test_an_installed_front_end_is_found_and_served(
     serve: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_handshake, "entry_points", lambda group: [point(lines.__name__)])
+    monkeypatch.setattr(_handshake, "installed", lambda group: [point(lines.__name__)])
     server = serve()
     assert server.front_ends == (LINES,)
     with enter(server) as client:
@@ -262,6 +262,12 @@ def test_what_cannot_be_served_is_a_problem_with_its_cause() -> None:
     assert "the server's own" in causes[3]
 
 
+def test_what_is_installed_is_read_once_for_all_servers(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = FrontEnds().usable
+    monkeypatch.setattr("importlib.metadata.distributions", lambda: pytest.fail("read again"))
+    assert FrontEnds().usable == found
+
+
 @pytest.mark.parametrize("path", ["", "lines", "/", "/a?b", "/a#b", "/a "])
 def test_a_path_that_is_none_is_refused(path: str) -> None:
     with pytest.raises(ValueError, match="expected one such as"):
@@ -272,7 +278,7 @@ def test_a_plugin_that_cannot_be_loaded_affects_no_other(
     monkeypatch: pytest.MonkeyPatch, serve: Serve, caplog: pytest.LogCaptureFixture
 ) -> None:
     points = [point("no_such_module"), point("json"), point(lines.__name__)]
-    monkeypatch.setattr(_handshake, "entry_points", lambda group: points)
+    monkeypatch.setattr(_handshake, "installed", lambda group: points)
     with caplog.at_level(logging.WARNING, "uoarm.server"):
         server = serve()
     assert server.front_ends == (LINES,)

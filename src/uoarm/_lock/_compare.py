@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from uoarm._lock._record import (
 )
 from uoarm._meaning import name_of_type
 from uoarm._origin import install_command
-from uoarm._plugins import cause_of, values_of
+from uoarm._plugins import cause_of, installed, values_of
 from uoarm._raised import Log
 from uoarm._resolve import Structures, Unavailable
 from uoarm.errors import ConfigurationError, PluginError, ResolutionError
@@ -358,7 +358,7 @@ def _names_of_types(lock: Lock) -> set[frozenset[str]]:
 
 def _formats() -> list[tuple[DefinitionFormat, EntryPoint]]:
     found = []
-    for point in sorted(entry_points(group=_DEFINITIONS), key=lambda point: point.name):
+    for point in sorted(installed(_DEFINITIONS), key=lambda point: point.name):
         try:
             found += [(format_, point) for format_ in _load(point)]
         except Exception as error:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from functools import cache
 from http import HTTPStatus
-from importlib.metadata import entry_points
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
@@ -20,7 +19,7 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from uoarm._origin import install_command
-from uoarm._plugins import PluginProblem, values_of
+from uoarm._plugins import PluginProblem, installed, values_of
 from uoarm._raised import text_of
 from uoarm._wire import FORMS
 from uoarm.server._failures import coded_text
@@ -60,8 +59,7 @@ class FrontEnds:
             for front_end in given:
                 self._admit(front_end.name, front_end)
             return
-        found = entry_points(group=_GROUP)
-        for point in sorted(found, key=lambda point: point.name):
+        for point in sorted(installed(_GROUP), key=lambda point: point.name):
             try:
                 answer = values_of(point, FrontEndHooks, "uoarm_front_ends", FrontEnd)
             except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything
