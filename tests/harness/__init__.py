@@ -134,18 +134,17 @@ def pytest_runtest_setup_of_needs(item: pytest.Item) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection() -> None:
-    """Leave garbage alone while tests are collected: nearly all that is made then stays."""
+    """Leave garbage alone while tests are collected: nearly all that is made then stays.
+
+    With its first example Hypothesis collects garbage, and looks for what holds its random numbers:
+    now, while that is little to look at, and nothing of it is left out yet.
+    """
+    settings(max_examples=1, database=None)(given(none())(lambda _: None))()
     gc.disable()
 
 
 def pytest_collection_finish() -> None:
-    """Freeze what collecting made.
-
-    That is left out of every later collection of garbage, as it stays anyway.
-    With its first example Hypothesis looks for what holds its random numbers, and would not see it
-    among what is left out.
-    """
-    settings(max_examples=1, database=None)(given(none())(lambda _: None))()
+    """Freeze what collecting made: later collections of garbage leave out what stays anyway."""
     gc.collect()
     gc.freeze()
     gc.enable()
