@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from pathlib import Path
 
 import pytest
 from tests.no_threads import no_threads
+from tests.processes import run_python
 
 from uoarm import RobotManager
 from uoarm._control.live.listeners import EventDispatcher
@@ -22,6 +24,7 @@ from uoarm.model import CommandPhase, CommandPolicy, Health, Message, QueuePolic
 from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import ManualClock, MemoryBridge, ResourceSnapshot, patience, wait
 
+ROOT = Path(__file__).parents[1]
 NUMBER = {"type": "integer"}
 POLICY = CommandPolicy(3600.0, StopMessage(0))
 
@@ -163,3 +166,32 @@ def test_a_bridge_that_was_lost_is_closed_at_the_end() -> None:
         with no_threads():
             bridge.report(Health.LOST, "it was unplugged")
     wait(lambda: bridge.closed)
+
+
+PARTS = """
+version: 1
+bridges: {python: {}}
+functions:
+  one: {components: [{name: one, bridge: python, output: {endpoint: ["thread_parts:one"]}}]}
+  take: {components: [{name: take, bridge: python, service: {endpoint: ["thread_parts:take"]}}]}
+"""
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["request one", "call take 1", "status", "resolve one", "lock", "types --python", "discover",
+     "serve --port 0", "up --port 0", "record -o run.mcap one"],
+)  # fmt: skip
+def test_a_command_says_that_there_is_no_thread(words: str, tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(PARTS)
+    (tmp_path / "thread_parts.py").write_text("def one():\n    yield 1\ndef take(value): ...\n")
+    program = (
+        "from tests.no_threads import no_threads\nfrom uoarm.cli import main\n"
+        f"with no_threads(): main({words.split()})"
+    )
+    done = run_python("-c", program, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert done.stderr.endswith(
+        "error: can't start new thread: a limit of this process, user or machine is reached: see "
+        "ulimit -a and systemd's TasksMax\nuoarm explain UOA-001 says more\n"
+    )
+    assert (done.returncode, "Traceback" in done.stderr) == (4, False), done.stderr

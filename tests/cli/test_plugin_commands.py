@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import resource
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 
@@ -20,11 +22,21 @@ def program(arguments: list[str]) -> int:
     return 7
 
 
+def limited(_: list[str]) -> int:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, hard))
+    try:
+        return os.pipe()[0]
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
 @hookimpl
 def uoarm_commands() -> list[Command]:
     return [
         Command("other", lambda _: 0, contract=1),
         Command("program", program, contract=1),
+        Command("limited", limited, contract=1),
         Command("older", program, contract=0),
     ]
 
@@ -32,7 +44,10 @@ def uoarm_commands() -> list[Command]:
 @pytest.fixture(autouse=True)
 def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     points = [
-        *(EntryPoint(name, __name__, "uoarm.commands") for name in ("program", "older", "none")),
+        *(
+            EntryPoint(name, __name__, "uoarm.commands")
+            for name in ("program", "limited", "older", "none")
+        ),
         EntryPoint("silent", "json", "uoarm.commands"),
         EntryPoint("gone", "no_such_module", "uoarm.commands"),
     ]
@@ -58,6 +73,7 @@ def test_help_lists_them_all_and_loads_none() -> None:
         ("gone", "the plugin gone cannot be used: ModuleNotFoundError"),
         ("silent", "PluginError: it implements no uoarm_commands hook"),
         ("none", "PluginError: it has no command 'none'"),
+        ("limited", "error: Too many open files: a limit of this process, user or machine is"),
         ("older", "it is written for version 0 of the hooks"),
     ],
 )

@@ -7,6 +7,7 @@ hook `uoarm_commands`.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,7 @@ from uoarm._support.process_tuning import short_switch_interval
 from uoarm._version import __version__
 from uoarm.cli._output import NO_ROOM, add_log_options, echo, keep_apart, logging_to_stderr
 from uoarm.cli._shared import (
+    BRIDGE,
     INTERRUPTED,
     JSON,
     REFUSED,
@@ -37,6 +39,9 @@ if TYPE_CHECKING:
     from uoarm.plugins import Command
 
 _GROUP = "uoarm.commands"
+_NO_THREAD = "can't start new thread"  # the text of what Python raises
+_AT_LIMIT = frozenset({errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM})
+_LIMIT = "a limit of this process, user or machine is reached: see ulimit -a and systemd's TasksMax"
 _HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # which click 8.1 has not
 
 # Plugins of ours by the command that they bring.
@@ -115,9 +120,16 @@ class PluginGroup(click.Group):
                 fail(error.format_message(), error.exit_code)
             except UoarmError as error:
                 fail(error, exit_code_of(error))
-            except OSError as error:  # as where a folder may not be searched
+            except RuntimeError as error:
+                if str(error) != _NO_THREAD:
+                    raise
+                fail(f"{error}: {_LIMIT}", BRIDGE)
+            except OSError as error:
+                if error.errno in _AT_LIMIT:
+                    fail(f"{error.strerror}: {_LIMIT}", BRIDGE)
                 if error.filename is None:
                     raise
+                # As where a folder may not be searched.
                 fail(f"{error.filename}: {error.strerror}", REFUSED, "UOA-003")
 
     def list_commands(self, ctx: click.Context) -> list[str]:
