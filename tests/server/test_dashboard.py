@@ -160,9 +160,12 @@ def test_a_message_is_sent_and_comes_back(browser: Browser, visit: Visit) -> Non
     visit("#/graph/function/echo/use")
     browser.click('[id="field-count"]')
     browser.write("9007199254740993")
+    place = "document.querySelector('.form .button.main').getBoundingClientRect().y"
+    before = browser.js(place)
     browser.click(".form .button.main", "Send")
     browser.until(says(".panel", "It was handed over."))
     browser.until(says(".panel", "9007199254740993"))
+    assert browser.js(place) == before
 
 
 def test_a_connection_of_another_client_is_killed(

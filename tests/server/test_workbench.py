@@ -27,6 +27,12 @@ PLACE = """
   document.querySelector("?").getBoundingClientRect())
 """
 PANELS = "[...document.querySelectorAll('.panel')].map((panel) => panel.dataset.panel).join(' ')"
+BUTTONS = """
+JSON.stringify([...document.querySelectorAll(".panel button")].map((button) => {
+  const { x, y } = button.getBoundingClientRect();
+  return [button.textContent.trim(), x, y];
+}))
+"""
 # Cards that a panel, a button or the edge of the graph covers in part.
 COVERED = """
 (() => {
@@ -389,23 +395,31 @@ functions:
                 played.append(connection.get(patience())["n"])
             assert played[-9:] == [*range(9)]
 
-    def test_what_is_pressed_stays_where_it_is_while_messages_come(
+    def test_what_is_pressed_stays_where_it_is_while_messages_come_and_are_lost(
         self, browser: Browser, visit: Visit, robot: RobotManager
     ) -> None:
-        places = """JSON.stringify([...document.querySelectorAll('.panel button')].map((button) => {
-            const { x, y } = button.getBoundingClientRect();
-            return [button.textContent.trim(), x, y];
-        }))"""
-        with robot.request("then", queue=QueuePolicy(length=100, policy="block")):
+        with robot.request("then", queue=QueuePolicy(length=1)):
             visit("#/graph/function/then")
             browser.until(says(".panel-body", "Kill"))
             browser.until(says(".player", "0 ms of 8 s"))
-            before = browser.js(places)
+            before = browser.js(BUTTONS)
             for n in (0, 1):
                 browser.click(".player button", "Step")
                 browser.until(says(".panel .facts", f"received\n{n + 1}"))
             browser.until(says(".player", "1 s of 8 s"))
-            assert browser.js(places) == before
+            browser.until(says(".panel .facts", "dropped\n1"))
+            assert browser.js(BUTTONS) == before
+
+    def test_a_kill_stays_where_it_is_as_the_application_raises(
+        self, browser: Browser, visit: Visit, robot: RobotManager
+    ) -> None:
+        with robot.request("then", on_message=[].__getitem__):
+            visit("#/graph/connection/c1")
+            browser.until(says(".panel-body", "Kill"))
+            before = browser.js(BUTTONS)
+            robot.playback("tape", step=True)
+            browser.until(says(".panel", "raised TypeError"))
+            assert browser.js(BUTTONS) == before
 
     def test_it_is_seen_everywhere_that_this_was_recorded(
         self, browser: Browser, visit: Visit

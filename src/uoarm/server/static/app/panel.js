@@ -33,8 +33,8 @@ function Use({ store, func, panel, act, keep }) {
   const needs = (operation, to, part) => html`<${Right} store=${store} operations=${[operation]} name=${func.name} to=${to}>${part}</${Right}>`;
   if (func.service) return needs("call", "call it", html`<${Call} store=${store} name=${func.name} keep=${keep} />`);
   return html`
-    ${func.outputs.length > 0 && needs("request", "watch it", html`<${Watch} store=${store} func=${func} panel=${panel} act=${act} keep=${keep} />`)}
-    ${func.inputs.length > 0 && needs("send", "send to it", html`<${Send} store=${store} func=${func} keep=${keep} />`)}`;
+    ${func.inputs.length > 0 && needs("send", "send to it", html`<${Send} store=${store} func=${func} keep=${keep} />`)}
+    ${func.outputs.length > 0 && needs("request", "watch it", html`<${Watch} store=${store} func=${func} panel=${panel} act=${act} keep=${keep} />`)}`;
 }
 
 function Overview({ store, func }) {
@@ -60,16 +60,16 @@ const Part = ({ row }) => html`
       ["rate", row.open ? rate(row.rate) : ""],
       ["last message", row.open ? lastMessage(row.age) : ""],
       ["received", row.open ? short(row.received) : ""],
-      ["dropped", row.lost ? short(row.lost) : ""],
-      ["invalid", row.invalid ? short(row.invalid) : ""],
-      ["raised on", row.failed ? short(row.failed) : ""],
+      ["dropped", row.open ? short(row.lost) : ""],
+      ["invalid", row.open ? short(row.invalid) : ""],
+      ["raised on", row.open ? short(row.failed) : ""],
       ["used by", row.users.join(", ")],
       ...row.commands.map((input) => [`input ${input.name}`, command(input)]),
     ]} />
     ${row.cause && html`<${Notice} kind="bad" title="Cause">${row.cause}</${Notice}>`}
     ${row.error && html`<${Notice} kind="warn" title="Last error">${row.error}</${Notice}>`}</li>`;
 
-/** In words before the first one, too: a line that came with it would move what is pressed below. */
+// What is nothing yet has its line, too: one that came with the first would move what is pressed below.
 const lastMessage = (age) => (age === null ? "none yet" : `${span(age)} ago`);
 
 /** What an input that moves something does, and who commands it. */
@@ -84,18 +84,18 @@ function ConnectionPanel({ store, panel }) {
   if (!connection) return html`<${Gone} store=${store} what="connection" />`;
   const routes = store.system.routes.filter((route) => route.to === connection.id || connection.components.includes(route.to));
   return html`<div class="panel-body" tabindex="0">
+    <p><${Kill} store=${store} connection=${connection} /></p>
     <${Facts} of=${[...holdersOf(connection).map((holder) => ["held by", holder]), ["function", connection.function], ["state", connection.state],
       ["components", sayThrough(store.system, connection.components)], ["cause", connection.cause]]} />
     ${connection.error && html`<${Notice} kind="bad" title="The application">${connection.error}</${Notice}>`}
-    <p><${Kill} store=${store} connection=${connection} /></p>
     <h3>Flows</h3>
     <ul class="parts">${routes.map((route) => html`<li key=${`${route.producer}>${route.consumer}`}>
       <div class="part-head"><b>${route.producer}</b><span>→ ${route.consumer}</span>
         <span class="push">${rate(route.rate)}</span></div>
       <${Facts} of=${[["received", short(route.received)], ["delivered", short(route.delivered)],
         ["last message", lastMessage(route.age)],
-        ["dropped", route.dropped.map(([why, count]) => `${short(count)} ${why}`).join(", ")],
-        ["invalid", route.invalid ? short(route.invalid) : ""]]} />
+        ["dropped", route.dropped.map(([why, count]) => `${short(count)} ${why}`).join(", ") || "0"],
+        ["invalid", short(route.invalid)]]} />
       ${route.last_error && html`<${Notice} kind="warn" title="Last error">${route.last_error}</${Notice}>`}
     </li>`)}</ul></div>`;
 }
