@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.server.browser import Browser, says
-from tests.server.conftest import Connect, Serve, Visit
+from tests.server.conftest import Between, Connect, Serve, Visit
 from tests.server.shown import END, SHOWN, front
 from tests.server.talk import Talk
 from tests.server.test_dashboard import GUEST, manage
@@ -17,7 +17,7 @@ from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
 from uoarm.model import QueuePolicy
-from uoarm.server import hash_token
+from uoarm.server import Server, hash_token
 from uoarm.testing import MemoryBridge, patience, wait
 
 pytestmark = pytest.mark.needs("chromium")
@@ -420,6 +420,20 @@ functions:
             robot.playback("tape", step=True)
             browser.until(says(".panel", "raised TypeError"))
             assert browser.js(BUTTONS) == before
+
+    def test_it_stays_as_last_known_while_nothing_is_answered(
+        self, browser: Browser, server: Server, between: Between
+    ) -> None:
+        proxy = between(server)
+        browser.go(f"http://127.0.0.1:{proxy.port}/#/graph/function/then")
+        browser.until(says(".player", "0 ms of 8 s"))
+        assert "last known" not in browser.js("document.body.innerText")
+        proxy.cut(admit=False)
+        browser.until(says(".panel", "as last known"))
+        assert "0 ms of 8 s" in browser.js("document.querySelector('.player').innerText")
+        proxy.admit()
+        browser.until(f"!{says('.panel', 'as last known')}")
+        browser.complaints.clear()  # the refusals meanwhile: a browser reports them all
 
     def test_it_is_seen_everywhere_that_this_was_recorded(
         self, browser: Browser, visit: Visit

@@ -8,18 +8,22 @@ import { Facts, html, Icon, Notice } from "./ui.js";
 const EVERY = 1000;
 const RATES = ["0.25", "0.5", "1", "2", "4", "fast"];
 
-/** What an operation without arguments says, again every second: [report, look]; null until it has answered. */
+/** What an operation without arguments says, again every second: { report, trouble, look }. The last report stays where one fails. */
 function useReport(store, op) {
-  const [report, setReport] = useState(null);
+  const [state, setState] = useState({ report: null, trouble: "" });
   const [turn, setTurn] = useState(0);
   useEffect(() => {
     let over = false;
     let timer;
+    const see = (seen) => over || setState(seen);
     const look = async () => {
-      const found = await store.wire.ask(op).catch(() => null);
-      if (over) return;
-      setReport(found);
-      timer = setTimeout(look, EVERY);
+      if (!document.hidden) {
+        await store.wire.ask(op).then(
+          (report) => see({ report, trouble: "" }),
+          (error) => see(({ report }) => ({ report, trouble: error.message })),
+        );
+      }
+      if (!over) timer = setTimeout(look, EVERY);
     };
     look();
     return () => {
@@ -27,13 +31,13 @@ function useReport(store, op) {
       clearTimeout(timer);
     };
   }, [op, turn, store.link]);
-  return [report, () => setTurn((number) => number + 1)];
+  return { ...state, look: () => setTurn((number) => number + 1) };
 }
 
 /** Args: the store and the name of a function. */
 export function Recordings({ store, name }) {
-  const [report, look] = useReport(store, "Record");
-  const [players, lookAgain] = useReport(store, "Play");
+  const records = useReport(store, "Record");
+  const plays = useReport(store, "Play");
   const [refusal, setRefusal] = useState("");
   const ask = async (...asked) => {
     try {
@@ -42,13 +46,14 @@ export function Recordings({ store, name }) {
     } catch (error) {
       setRefusal(error.message);
     }
-    look();
-    lookAgain();
+    records.look();
+    plays.look();
   };
-  const its = (report?.recordings ?? []).filter(({ functions }) => functions.some((of) => of.split(".")[0] === name));
-  const played = (players?.players ?? []).filter(({ functions }) => functions.includes(name));
+  const old = [records, plays].find(({ report, trouble }) => report && trouble);
+  const its = (records.report?.recordings ?? []).filter(({ functions }) => functions.some((of) => of.split(".")[0] === name));
+  const played = (plays.report?.players ?? []).filter(({ functions }) => functions.includes(name));
   return html`
-    <h3>Recordings</h3>
+    <h3>Recordings <span class="hint" role="status" title=${old?.trouble}>${old && "as last known"}</span></h3>
     ${played.map((player) => html`<${Player} key=${player.bridge} of=${player} move=${(how) => ask("Play", player.bridge, how)} />`)}
     <${Right} store=${store} operations=${["request", "record"]} name=${name} to="record it">
       <p><button type="button" class="button" onClick=${() => ask("Record", "", { functions: [name] })}><${Icon} name="record" /> Record</button></p></${Right}>
