@@ -203,6 +203,15 @@ def test_vehicles_are_discovered_with_what_they_are(broker: Broker) -> None:
             assert bridge.describe(place) == description
 
 
+def test_vehicles_that_have_gone_make_room_for_others(broker: Broker) -> None:
+    with driven(broker, "stranger", interface="room"):
+        pass
+    with bridge_to(broker, interface="room", max_vehicles=1) as bridge:
+        assert bridge.discover() == ()
+        with driven(broker, "found", interface="room"):
+            wait(lambda: [found.name for found in bridge.discover()] == ["uoa/found"])
+
+
 def _die(vehicle: Vehicle) -> None:
     """End its connection without a word, so that the broker publishes its last will."""
     client: Any = vehicle._broker._client

@@ -124,7 +124,12 @@ class Presence:
 
     def _of(self, vehicle: Vehicle) -> _Known | None:
         if vehicle not in self._known and len(self._known) >= self._most:
-            return None
+            # One that is not there, and was never asked for, makes room.
+            known = self._known.items()
+            strangers = (name for name, said in known if not (said.is_online or said.names))
+            if (stranger := next(strangers, None)) is None:
+                return None
+            del self._known[stranger]
         return self._known.setdefault(vehicle, _Known())
 
     def _take(self, incoming: ReceivedMessage) -> None:
