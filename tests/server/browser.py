@@ -148,20 +148,25 @@ class Browser:
         self.command("Emulation.setEmulatedMedia", features=[scheme])
 
     def click(self, selector: str, text: str = "", *, shift: bool = False) -> None:
-        """Press the middle of the first visible element that a selector and a text find."""
-        find = f"({_FIND})({json.dumps(selector)}, {json.dumps(text)})"
-        place = self.until(find)
-        while (now := self.js(f"{_DRAWN}.then(() => {find})")) != place:  # it was moved meanwhile
-            place = now or self.until(find)
-        for kind in ("mousePressed", "mouseReleased"):
-            self.command(
-                "Input.dispatchMouseEvent",
-                type=kind,
-                button="left",
-                clickCount=1,
-                modifiers=8 * shift,
-                **place,
-            )
+        """Press the middle of the first visible element that a selector and a text find.
+
+        What took its place meanwhile gets nothing of that, and it is tried again.
+        """
+        deadline = time.monotonic() + SECONDS
+        while True:
+            place = self.until(f"({_AIM})({json.dumps(selector)}, {json.dumps(text)})")
+            for kind in ("mousePressed", "mouseReleased"):
+                self.command(
+                    "Input.dispatchMouseEvent",
+                    type=kind,
+                    button="left",
+                    clickCount=1,
+                    modifiers=8 * shift,
+                    **place,
+                )
+            if not self.js("window.missed"):
+                return
+            assert time.monotonic() < deadline, f"never hit: {selector} {text}"
 
     def press(self, key: str, *, shift: bool = False, control: bool = False) -> None:
         code, text = KEYS.get(key, (ord(key[0].upper()), key))
@@ -225,13 +230,26 @@ class Browser:
             self._process.wait()
 
 
-_DRAWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
-_FIND = """(selector, text) => {
+_AIM = """(selector, text) => {
   for (const one of document.querySelectorAll(selector)) {
     if (!one.textContent.includes(text)) continue;
     one.scrollIntoView({ block: "nearest" });
     const { left, top, width, height } = one.getBoundingClientRect();
-    if (width > 0 && height > 0) return { x: left + width / 2, y: top + height / 2 };
+    if (!(width > 0 && height > 0)) continue;
+    window.missed = true;
+    window.aim?.abort(); // of a press that was no click
+    const over = window.aim = new AbortController();
+    const take = (event) => {
+      const hit = event.composedPath().includes(one);
+      if (!hit) event.stopImmediatePropagation();
+      if (!hit) event.preventDefault();
+      if (event.type === "click") window.missed = !hit;
+      if (event.type === "click") over.abort();
+    };
+    for (const type of ["pointerdown", "mousedown", "pointerup", "mouseup", "click"]) {
+      window.addEventListener(type, take, { capture: true, signal: over.signal });
+    }
+    return { x: left + width / 2, y: top + height / 2 };
   }
   return null;
 }"""

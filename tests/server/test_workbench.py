@@ -433,6 +433,7 @@ functions:
         assert "0 ms of 8 s" in browser.js("document.querySelector('.player').innerText")
         proxy.admit()
         browser.until(f"!{says('.panel', 'as last known')}")
+        browser.go("about:blank")
         browser.complaints.clear()  # the refusals meanwhile: a browser reports them all
 
     def test_it_is_seen_everywhere_that_this_was_recorded(
@@ -544,3 +545,30 @@ class TestPanels:
         )
         browser.click('[data-panel="function/echo"] [aria-label="Close (Escape)"]')
         browser.until(f"{PANELS} === 'function/camera'")
+
+
+MOVING = """data:text/html,<script>
+let measured = 0;
+const pressed = [];
+for (const [at, name] of ["meant", "other"].entries()) {
+  const button = document.createElement("button");
+  button.textContent = name;
+  button.style = `position: absolute; width: 90px; left: ${100 * at}px`;
+  button.onclick = () => pressed.push(name);
+  document.documentElement.append(button);
+}
+const [meant, other] = document.querySelectorAll("button");
+meant.getBoundingClientRect = () => {
+  const box = Element.prototype.getBoundingClientRect.call(meant);
+  measured += 1;
+  const swap = () => [meant.style.left, other.style.left] = [other.style.left, meant.style.left];
+  if (measured === 1 || measured === 3) queueMicrotask(swap);
+  return box;
+};
+</script>"""
+
+
+def test_a_click_of_these_tests_presses_what_is_meant_though_it_moves(browser: Browser) -> None:
+    browser.go(MOVING)
+    browser.click("button", "meant")
+    assert browser.js("pressed") == ["meant"]
