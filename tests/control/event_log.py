@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, get_args
 
 from uoarm._control.engine.events import Event
-from uoarm._control.engine.placement import Kind, Part
+from uoarm._control.engine.placement import Kind, LinkEnd, Part
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import FailoverPolicy, FailureLimits, Health, Plan, PortRef, Role, ValidationMode
 
@@ -68,7 +68,10 @@ def _error_class(name: str) -> type[BaseException]:
 
 
 def _part(value: list[str] | str) -> object:
-    return value if isinstance(value, str) else (Role(value[0]), value[1])
+    if isinstance(value, str):
+        return value
+    role, *rest = value
+    return LinkEnd(Role(role), *rest) if len(rest) > 1 else (Role(role), *rest)
 
 
 _READERS: Mapping[str, Callable[[Any], object]] = {

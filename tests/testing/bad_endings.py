@@ -28,13 +28,19 @@ from tests.testing.bad_worlds import (
     step,
 )
 
-from uoarm.bridge import Channel, HealthEvent, Sink, Source
+from uoarm.bridge import Channel, HealthEvent, NativeLink, Sink, Source
 from uoarm.errors import BridgeError
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
 from uoarm.testing import MemoryBridge
 from uoarm.testing.conformance._ending import EndingRules
 from uoarm.testing.conformance._failures import Breaking, DisturbanceRules
 from uoarm.testing.conformance._flow import ServiceRules
+
+
+def _channels(bridge: MemoryBridge) -> list[Channel]:
+    components = tuple(bridge._components.values())
+    return [channel for port in components for channel in getattr(port, "channels", tuple)()]
+
 
 # Closing.
 
@@ -58,7 +64,7 @@ def never_lets_go(world: BadWorld, bridge: MemoryBridge, made: Channel) -> None:
 
 def closes_all(world: BadWorld, bridge: MemoryBridge, made: Source) -> None:
     def close() -> None:
-        for channel in bridge._channels():
+        for channel in _channels(bridge):
             for component in bridge._components.values():
                 getattr(component, "leave", lambda _: None)(channel)
 
@@ -195,6 +201,14 @@ def whole_bridge(event: HealthEvent) -> HealthEvent:
     return evolve(event, channel=None) if event.health is Health.LOST else event
 
 
+def other_end(event: HealthEvent) -> HealthEvent:
+    link = event.channel
+    if not isinstance(link, NativeLink):
+        return event
+    is_sink = event.component == link.sink.component
+    return evolve(event, component=(link.endpoint if is_sink else link.sink).component)
+
+
 def only_once() -> Callable[[HealthEvent], HealthEvent | None]:
     reports: list[HealthEvent] = []
 
@@ -214,7 +228,7 @@ def first_only(world: BadWorld, bridge: MemoryBridge) -> None:
 
 def deaf_after(world: BadWorld, bridge: MemoryBridge, mend: Any) -> Any:
     def mended() -> None:
-        for channel in bridge._channels():
+        for channel in _channels(bridge):
             for component in bridge._components.values():
                 getattr(component, "leave", lambda _: None)(channel)
             bridge.report(Health.OK, "connected again", channel=channel)
@@ -462,6 +476,13 @@ HEALTH_BUGS: tuple[Bug, ...] = (
         first_only,
         DisturbanceRules.test_each_death_is_reported_of_its_own_component,
         "it was not reported",
+    ),
+    Bug(
+        HEALTH,
+        "blames the other end of a link for a death",
+        reporting(other_end),
+        DisturbanceRules.test_a_death_at_one_end_of_a_link_is_reported_of_that_component_alone,
+        "died, and this was reported",
     ),
 )
 

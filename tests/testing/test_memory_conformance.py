@@ -14,6 +14,7 @@ from uoarm.model import BridgeSpec, Endpoint, Message, Options, Role
 from uoarm.testing import Emitter, Hang, Loop, MemoryBridge
 from uoarm.testing.conformance import (
     BridgeConformance,
+    LinkVictim,
     Pair,
     Retained,
     Served,
@@ -65,7 +66,8 @@ class MemoryWorld(World):
         for victim in ("victim", "second"):
             made.emitter(victim, closed(value=SCHEMAS["byte"]))
         made.emitter("producer", closed(value=SCHEMAS["byte"]))
-        made.taker("consumer", closed(value=SCHEMAS["byte"]))
+        for taker in ("consumer", "third"):
+            made.taker(taker, closed(value=SCHEMAS["byte"]))
         value = closed(value=SCHEMAS["byte"])
         made.service("double", value, value, lambda asked: {"value": 2 * asked["value"]})
         made.service("broken", value, value, self._fail)
@@ -131,6 +133,13 @@ class MemoryWorld(World):
 
     def linkable(self) -> Pair:
         return Pair(at("consumer", Role.INPUT), at("producer", Role.OUTPUT))
+
+    def link_victims(self) -> list[LinkVictim]:
+        one, another = self.linkable(), Pair(at("third", Role.INPUT), at("second", Role.OUTPUT))
+        return [
+            LinkVictim(one, one.sink, partial(self.made.die, "consumer")),
+            LinkVictim(another, another.source, partial(self.made.die, "second")),
+        ]
 
     def close(self) -> None:
         self._hang.release()

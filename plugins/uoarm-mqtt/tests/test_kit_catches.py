@@ -28,6 +28,7 @@ from uoarm.testing.conformance._world import PAGE, rule_of
 # A broker links no topics. Its connection reports by itself: `BUGS` has what is wrong there.
 _ELSEWHERE = {
     "makes no link, though it says that it can",
+    "blames the other end of a link for a death",
     "says that all is lost when one component dies",
     "does not report that the link is broken",
     "does not report that the link is mended",

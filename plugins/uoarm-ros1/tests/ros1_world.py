@@ -14,7 +14,7 @@ from uoarm_ros1._types import TypeStore
 
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import patience
-from uoarm.testing.conformance import Pair, Retained, Served, Victim, World
+from uoarm.testing.conformance import LinkVictim, Pair, Retained, Served, Victim, World
 
 KINDS = {
     "scalars": "rosgraph_msgs/Log",
@@ -24,6 +24,7 @@ KINDS = {
     "echoed": "geometry_msgs/Inertia",  # by way of a node in another process
 }
 NAMES = itertools.count()
+ROLES = (Role.OUTPUT, Role.INPUT)
 TYPES = TypeStore(())
 
 
@@ -152,6 +153,26 @@ class Ros1World(World):
             self.endpoint("linked", Role.INPUT, native, **options),
             self.endpoint("from", Role.OUTPUT, native, **options),
         )
+
+    def link_victims(self) -> list[LinkVictim]:
+        """Between two topics, and of one topic, which ROS 1 connects by itself."""
+        return [
+            self._link_victim(dies, *topics)
+            for topics in (("from", "to"), ("shared", "shared"))
+            for dies in ROLES
+        ]
+
+    def _link_victim(self, dies: Role, *topics: str) -> LinkVictim:
+        native, mortal, ends = "std_msgs/Int64", self.start(), []
+        for role, do, topic in zip(ROLES, ("advertise", "subscribe"), topics, strict=True):
+            name = f"{self.at}/{dies.value}/{topic}"
+            (mortal if role is dies else self.lasting).do(do, topic=name, type=native)
+            options = {"wait": patience()}
+            component = f"{name}_{role.value}"
+            ends.append(Endpoint("ros", component, role, (name, native), options=options))
+        source, sink = ends
+        dead = source if dies is Role.OUTPUT else sink
+        return LinkVictim(Pair(sink, source), dead, mortal.kill)
 
     def start(self) -> Peer:
         self._started.append(self.master.peer(f"peer{next(NAMES)}"))

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
 from endpoints import bridge_to
 from peers import Master, Peer
 from tests.processes import ForkedProgram  # type: ignore[import-not-found]
@@ -16,7 +17,7 @@ from tests.structures import closed  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.model import ConnectionState, OfferState
+from uoarm.model import ConnectionState, OfferState, StatusEvent
 from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import MemoryBridge, patience, slowness, wait
 
@@ -145,6 +146,40 @@ def test_two_topics_of_one_type_are_linked_by_the_plan(master: Master, lasting: 
         (route,) = manager.status().routes
         assert route.native
     peer.kill()
+
+
+@pytest.mark.parametrize("goes", ["/taker/{}", "/taken"], ids=["two topics", "one topic"])
+def test_a_consumer_of_a_link_that_is_killed_is_replaced_and_no_producer_blamed(
+    master: Master, lasting: Peer, goes: str
+) -> None:
+    lasting.do("advertise", topic="/taken", type="std_msgs/Int32")
+    topics = {name: goes.format(name) for name in ("first", "second")}
+    peers = {name: master.peer(name) for name in topics}
+    peers["first"].do("subscribe", topic=topics["first"], type="std_msgs/Int32")
+    functions = f"""
+  numbers: {{components: [{{name: numbers, bridge: ros, output: {{endpoint: [/taken]}}}}]}}
+  taker:
+    components:
+      - name: first
+        bridge: ros
+        priority: 2
+        input: {{from: numbers, endpoint: [{topics["first"]}]}}
+      - name: second
+        bridge: ros
+        input: {{from: numbers, endpoint: ["/taker/second"]}}
+"""
+    peers["second"].do("subscribe", topic="/taker/second", type="std_msgs/Int32")
+    with (
+        RobotManager(loads(robot(master, functions))) as manager,
+        manager.request("taker") as connection,
+    ):
+        assert [route.native for route in manager.status().routes] == [True]
+        changes: list[StatusEvent] = []
+        manager.listen(changes.append)
+        peers["first"].kill()
+        wait(lambda: connection.plan.provider.component.name == "second", lambda: str(changes))
+        assert [event.change for event in changes if event.subject == "component numbers"] == []
+    peers["second"].kill()
 
 
 TWIST = """

@@ -15,7 +15,7 @@ from uoarm_ros2._types import import_type
 
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import patience, slowness
-from uoarm.testing.conformance import Pair, Retained, Served, Victim, World
+from uoarm.testing.conformance import LinkVictim, Pair, Retained, Served, Victim, World
 
 KINDS = {
     "scalars": "test_msgs/msg/BasicTypes",
@@ -33,6 +33,7 @@ SILENT_SECONDS = 3.0
 CUT_SHORT = b"\0\1\0\0\1\2\3"  # serialised, little endian: three octets of a field
 SERVICE = "test_msgs/srv/BasicTypes"
 NAMES = itertools.count()
+ROLES = (Role.OUTPUT, Role.INPUT)
 
 
 class RosWorld(World):
@@ -183,6 +184,26 @@ class RosWorld(World):
         return Pair(
             at(Role.INPUT, "/linked", image, **options), at(Role.OUTPUT, "/from", image, **options)
         )
+
+    def link_victims(self) -> list[LinkVictim]:
+        """Between two topics, and of one topic, which ROS 2 connects by itself."""
+        return [
+            self._link_victim(dies, *topics)
+            for topics in (("from", "to"), ("shared", "shared"))
+            for dies in ROLES
+        ]
+
+    def _link_victim(self, dies: Role, *topics: str) -> LinkVictim:
+        ends, native = [], "std_msgs/msg/Int64"
+        mortal = self._start(f"{topics[0]}_{dies.value}", **MORTAL_CALM)
+        for role, do, topic in zip(ROLES, ("advertise", "subscribe"), topics, strict=True):
+            name = f"{self._at}/{dies.value}/{topic}"
+            (mortal if role is dies else self._lasting).do(do, topic=name)
+            component, limit = f"{name}_{role.value}", {"wait": patience()}
+            ends.append(Endpoint("ros", component, role, (name, native), options=limit))
+        source, sink = ends
+        dead = source if dies is Role.OUTPUT else sink
+        return LinkVictim(Pair(sink, source), dead, mortal.kill)
 
 
 def at(role: Role, name: str, native: str, **options: object) -> Endpoint:

@@ -7,13 +7,13 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from endpoints import Start, reaches
+from endpoints import INT64, Start, reaches
 from peers import MORTAL, OPTIONS
 
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.errors import MessageError, ResolutionError
-from uoarm.model import ConnectionState, QueuePolicy
+from uoarm.model import ConnectionState, QueuePolicy, StatusEvent
 from uoarm.testing import patience, wait
 
 LATE_SECONDS = 2.0  # twice as long as a host waits for a reader of anything else
@@ -231,3 +231,32 @@ def test_a_producer_that_may_give_a_longer_text_is_refused_with_one(tmp_path: Pa
         assert "name" in text
     with tags(tmp_path, "tag") as manager:
         assert manager.resolve("board").warnings == ()
+
+
+@pytest.mark.parametrize("host", HOSTS, ids=["here", "hosted"])
+@pytest.mark.parametrize("goes", ["/first", "/taken"], ids=["two topics", "one topic"])
+def test_a_consumer_of_a_link_that_is_killed_is_replaced_and_no_producer_blamed(
+    peer: Start, goes: str, host: str
+) -> None:
+    talker, first, second = peer("talker"), peer("first", **MORTAL), peer("second")
+    talker.do("advertise", topic="/taken")
+    first.do("subscribe", topic=goes)
+    second.do("subscribe", topic="/second")
+    functions = f"""
+  numbers:
+    components: [{{name: numbers, bridge: ros, output: {{endpoint: [/taken, {INT64}]}}}}]
+  taker:
+    components:
+      - name: first
+        bridge: ros
+        priority: 2
+        input: {{from: numbers, endpoint: [{goes}, {INT64}]}}
+      - {{name: second, bridge: ros, input: {{from: numbers, endpoint: [/second, {INT64}]}}}}
+"""
+    with robot(functions, host=host) as manager, manager.request("taker") as connection:
+        assert [route.native for route in manager.status().routes] == [True]
+        changes: list[StatusEvent] = []
+        manager.listen(changes.append)
+        first.kill()
+        wait(lambda: connection.plan.provider.component.name == "second", lambda: str(changes))
+        assert [event.change for event in changes if event.subject == "component numbers"] == []

@@ -7,6 +7,7 @@ import sys
 from typing import Any
 
 import pytest
+from attrs import evolve
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from endpoints import INT64, Make, Start, endpoint, reaches, source
 from peers import OPTIONS, Peer
@@ -267,13 +268,20 @@ def test_links_and_inputs_are_judged_too(
     bridge: Bridge, events: Inbox, driver: Peer, goes: str
 ) -> None:
     driver.do("subscribe", topic=goes)
-    link = bridge.link(numbers(), endpoint(Role.INPUT, goes, INT64, diagnostics="arm"))
+    link = bridge.link(
+        numbers(), evolve(endpoint(Role.INPUT, goes, INT64, diagnostics="arm"), component="arm")
+    )
     assert link is not None
     driver.do("diagnose", entries=[["arm", WARN, "warm", {}], [WHEEL, WARN, "hot", {}]])
-    assert events.event(Health.DEGRADED, "'warm'").channel is link
-    events.event(Health.DEGRADED, "'hot'")
+    for cause, component in (("'warm'", "arm"), ("'hot'", "thing")):
+        event = events.event(Health.DEGRADED, cause)
+        assert (event.channel, event.component) == (link, component)
+    driver.do("diagnose", entries=[["arm", WARN, "warm", {}], [WHEEL, OK, "", {}]])
+    mended = events.wait_until(lambda item: item.channel is link and item.health is Health.OK)
+    assert mended.component == "thing"
     driver.do("diagnose", entries=[["arm", ERROR, "stuck", {}], [WHEEL, OK, "", {}]])
-    assert events.event(Health.LOST, "'stuck'").channel is link
+    event = events.event(Health.LOST, "'stuck'")
+    assert (event.channel, event.component) == (link, "arm")
     driver.do("diagnose", entries=[["arm", OK, "", {}], [WHEEL, OK, "", {}]])
     wait(lambda: events.messages[-1].health is Health.OK)
     link.close()

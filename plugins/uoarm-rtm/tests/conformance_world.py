@@ -17,7 +17,7 @@ from uoarm_rtm._types import Types
 
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import patience
-from uoarm.testing.conformance import Pair, Served, Victim, World
+from uoarm.testing.conformance import LinkVictim, Pair, Served, Victim, World
 
 HERE = Path(__file__).parent
 IDL, TYPES_IDL = str(HERE / "service.idl"), str(HERE / "types.idl")
@@ -174,6 +174,18 @@ class RtmWorld(World):
 
     def linkable(self) -> Pair:
         return self.pair("long")
+
+    def link_victims(self) -> list[LinkVictim]:
+        found = []
+        for role in (Role.OUTPUT, Role.INPUT):
+            source, sink = (self._start(f"{end}{role.value}") for end in ("From", "Into"))
+            ends = Pair(
+                Endpoint("rtm", "into", Role.INPUT, (f"Into{role.value}.rtc", "in")),
+                Endpoint("rtm", "from", Role.OUTPUT, (f"From{role.value}.rtc", "out")),
+            )
+            dead, component = (ends.source, source) if role is Role.OUTPUT else (ends.sink, sink)
+            found.append(LinkVictim(ends, dead, component.kill))
+        return found
 
 
 def begin_loop(component: Peer) -> None:

@@ -22,7 +22,9 @@ def linked_options(bridge: Bridge, out: dict[str, Any], into: dict[str, Any]) ->
 
 
 def concerned(event: HealthEvent) -> str | None:
-    return event.component if event.channel is None else event.channel.endpoint.component
+    if event.component is not None or event.channel is None:
+        return event.component
+    return event.channel.endpoint.component
 
 
 def asked_by_the_source(fault: str) -> Callable[[Peer, Peer], object]:

@@ -26,6 +26,7 @@ from uoarm.bridge import (
     Description,
     Discovered,
     Handler,
+    NativeLink,
     Outcomes,
     ServiceStructures,
     Sink,
@@ -63,12 +64,13 @@ def _close_seconds() -> float:
 
 
 class RemoteChannel(Channel):
-    """A channel in a host through which no message of ours passes: a service, a native link.
+    """A channel in a host through which no message of ours passes, such as a service.
 
     Args:
         number: its number in the host.
         ask: asks the host.
         when_closed: what else ends with it.
+        given: what else its kind of channel takes.
     """
 
     def __init__(
@@ -77,8 +79,9 @@ class RemoteChannel(Channel):
         number: int,
         ask: AskChannel,
         when_closed: Callable[[], None] = lambda: None,
+        **given: Any,
     ) -> None:
-        super().__init__(endpoint)
+        super().__init__(endpoint, **given)
         self.number = number
         self._ask = ask
         self._finally = when_closed
@@ -103,6 +106,10 @@ class RemoteChannel(Channel):
         """Return what the bridge in the host says to have lost between it and its framework."""
         lost = self.host_facts.get("lost_on_link", 0)
         return lost if isinstance(lost, int) else 0
+
+
+class RemoteLink(RemoteChannel, NativeLink):
+    """A native link in a host."""
 
 
 class RemoteSource(RemoteChannel, Source):
@@ -406,13 +413,15 @@ class RemoteBridge(Bridge):
             )
         return RemoteChannel(endpoint, number, self._ask_to_close, end)
 
-    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+    def _link(self, source: Endpoint, sink: Endpoint) -> NativeLink | None:
         number = next(self._numbers)
-        if not self._ask("link", flow=number, source=to_json(source), sink=to_json(sink)):
-            return None
-        channel = RemoteChannel(source, number, self._ask_to_close, lambda: self._drop(number))
-        self._channels[number] = channel
-        return channel
+        link = RemoteLink(source, number, self._ask_to_close, lambda: self._drop(number), sink=sink)
+        self._channels[number] = link  # before it is open: it may report while it opens
+        with on_failure(self._drop, number):
+            if self._ask("link", flow=number, source=to_json(source), sink=to_json(sink)):
+                return link
+        self._drop(number)
+        return None
 
     def _stop_all(self, release: bool, timeout: float) -> tuple[StopOutcome, ...]:  # noqa: FBT001
         outcomes = self._ask("stop_all", release=release, timeout=timeout)

@@ -24,7 +24,7 @@ from uoarm._dataplane import (
 )
 from uoarm._raised import Log, foreign, text_of
 from uoarm._safety import EmergencyStop, InputLease
-from uoarm.bridge import Bridge, Channel, Sink, Source
+from uoarm.bridge import Bridge, Channel, NativeLink, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError, UoarmError
 from uoarm.model import (
     ChannelStatus,
@@ -455,7 +455,7 @@ class LiveEdge:
     strictness: Callable[[], ValidationMode]
     held: bool = False
     route: Route | None = field(default=None, init=False)
-    link: Channel | None = field(default=None, init=False)
+    link: NativeLink | None = field(default=None, init=False)
     _input: Input = field(init=False)
     # Guards the making of route and link: a switchover releases an edge that its batch opens.
     _ready: threading.Lock = field(factory=threading.Lock, init=False)

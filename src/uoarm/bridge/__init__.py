@@ -11,7 +11,7 @@ from uoarm._spelling import did_you_mean
 from uoarm._support.workers import WorkerExecutor
 from uoarm.bridge._border import Delivery, reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
-from uoarm.bridge._channel import Channel, Outcomes, ReceiveQueue, Sink, Source
+from uoarm.bridge._channel import Channel, NativeLink, Outcomes, ReceiveQueue, Sink, Source
 from uoarm.bridge._health import (
     ChannelHealth,
     ChannelMonitor,
@@ -75,6 +75,7 @@ __all__ = [
     "HealthReason",
     "LimitedLog",
     "Log",
+    "NativeLink",
     "Outcomes",
     "PeerOptions",
     "PluginProblem",

@@ -15,7 +15,7 @@ from uoarm._raised import foreign
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
 from uoarm.bridge._border import Delivery, Gate, translated
-from uoarm.bridge._channel import Channel, Sink, Source, put_away
+from uoarm.bridge._channel import Channel, NativeLink, Sink, Source, put_away
 from uoarm.bridge._options import DeclaredOptions
 from uoarm.bridge._services import CallsUnderWay, CallUnderWay
 from uoarm.bridge._steps import (
@@ -320,7 +320,7 @@ class Bridge(BridgeSteps):
         )
 
     @final
-    def link(self, source: Endpoint, sink: Endpoint, *, timeout: float = 5.0) -> Channel | None:
+    def link(self, source: Endpoint, sink: Endpoint, *, timeout: float = 5.0) -> NativeLink | None:
         """Connect two endpoints of this bridge natively; None when these two cannot be.
 
         Raises:
@@ -331,7 +331,7 @@ class Bridge(BridgeSteps):
             return None
         step = f"linking {source} to {sink}"
         channel = self._step(step, timeout, lambda: self._link(source, sink), on_late=put_away)
-        return None if channel is None else self._adopt(Channel, "_link", channel)
+        return None if channel is None else self._adopt(NativeLink, "_link", channel)
 
     @final
     def stop_all(self, *, release: bool = False, timeout: float = 2.0) -> tuple[StopOutcome, ...]:
@@ -431,9 +431,11 @@ class Bridge(BridgeSteps):
         return {channel for channel in self._open if channel._closer != this}  # noqa: SLF001 - its one owner
 
     @final
-    def report_channel(self, channel: Channel, health: Health, cause: str) -> None:
+    def report_channel(
+        self, channel: Channel, health: Health, cause: str, component: str | None = None
+    ) -> None:
         """Report a change of a channel, as `report` does; for channels, which are given it."""
-        self.report(health, cause, channel=channel)
+        self.report(health, cause, channel=channel, component=component)
 
     def report(
         self,
@@ -445,7 +447,9 @@ class Bridge(BridgeSteps):
     ) -> None:
         """Notify the manager of a change; for bridges, from any thread. Returns at once.
 
-        What it is about: a `channel`; else every endpoint of a `component`; else the whole bridge.
+        What it is about: a `channel`, of a `NativeLink` its end at that `component`, or else its
+        source; without one every endpoint of a `component`; else the whole bridge. Each end of a
+        link is reported on its own: the component that is lost there is replaced, and no other.
         What the manager does:
 
         - DEGRADED: shows it with its cause. Connections go on. For a link that broke and is being

@@ -148,6 +148,28 @@ class Channel:
         close()
 
 
+class NativeLink(Channel):
+    """A native link from one component to another, of the same bridge.
+
+    Usable as it is, with a function that closes the link, and to be subclassed, as any channel.
+    What is reported of it is about the component at one of its ends: see `Bridge.report`.
+
+    Args:
+        source: the output at its beginning, its `endpoint`.
+        sink: the input at its end.
+        close: lets go of the native link.
+
+    Attributes:
+        sink: the input at its end.
+    """
+
+    def __init__(
+        self, source: Endpoint, sink: Endpoint, close: Callable[[], object] | None = None
+    ) -> None:
+        super().__init__(source, close)
+        self.sink = sink
+
+
 class Source(Channel):
     """A channel out of a component, whose messages go to the `deliver` that it was opened with.
 

@@ -13,7 +13,7 @@ from typing import Any
 from attrs import evolve, field, frozen
 
 from uoarm.bridge._border import Delivery
-from uoarm.bridge._channel import Channel, Sink, Source
+from uoarm.bridge._channel import Channel, NativeLink, Sink, Source
 from uoarm.model import Endpoint, Health, Message, MessageStructure, StopOutcome
 
 _ANYTHING = MessageStructure(schema=True)
@@ -117,7 +117,8 @@ class HealthEvent:
         health: what it is now; `Bridge.report` says what the manager does on each.
         cause: why, in one sentence.
         channel: the channel concerned; None when it is the whole bridge or `component`.
-        component: the component concerned; None when it is the channel or the whole bridge.
+        component: the component concerned, of a native link that at one of its ends; None when it
+            is the channel's own or the whole bridge.
     """
 
     bridge: str
@@ -234,11 +235,12 @@ class BridgeSteps(ABC):
         """
         raise NotImplementedError
 
-    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+    def _link(self, source: Endpoint, sink: Endpoint) -> NativeLink | None:
         """Connect two endpoints natively; with the capability `link`.
 
         Must be overridden where the capability is there. May return None for a pair that cannot be
-        linked: the manager then moves the messages itself.
+        linked: the manager then moves the messages itself. Must report each end with its component,
+        and a death of the one that died.
         """
         raise NotImplementedError
 

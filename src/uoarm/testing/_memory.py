@@ -19,6 +19,7 @@ from uoarm.bridge import (
     Description,
     Discovered,
     Handler,
+    NativeLink,
     ServiceStructures,
     Sink,
     Source,
@@ -91,21 +92,18 @@ class MemoryBridge(Bridge):
     def cut(self, cause: str = "the link was cut") -> None:
         """Break the link to all components: nothing passes until `mend`, and that is reported."""
         self._is_cut = cause
-        for channel in self._channels():
-            self.report(Health.DEGRADED, cause, channel=channel)
+        for name in tuple(self._components):
+            self._report_at(name, self._components[name], Health.DEGRADED, cause)
 
     def mend(self) -> None:
         """Mend the link: the channels that are open go on."""
         self._is_cut = ""
-        for channel in self._channels():
-            self.report(Health.OK, "the link is there again", channel=channel)
+        for name in tuple(self._components):
+            self._report_at(name, self._components[name], Health.OK, "the link is there again")
 
     def die(self, name: str, cause: str = "the component was killed") -> None:
         """Let a component be gone: its channels are lost and it can be found no more."""
-        component = self._components.pop(name)
-        channels = component.channels() if not isinstance(component, MemoryService) else ()
-        for channel in channels:
-            self.report(Health.LOST, cause, channel=channel)
+        self._report_at(name, self._components.pop(name), Health.LOST, cause)
 
     def _add(self, name: str, component: _Component) -> _Component:
         if name in self._components:
@@ -186,7 +184,7 @@ class MemoryBridge(Bridge):
         self._add(name, MemoryService(structures.request, structures.reply, handler))
         return Channel(endpoint, lambda: self._components.pop(name, None))
 
-    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+    def _link(self, source: Endpoint, sink: Endpoint) -> NativeLink | None:
         producer, consumer = self._find(source), self._find(sink)
         if not isinstance(producer, Emitter) or not isinstance(consumer, Taker):
             return None
@@ -196,9 +194,14 @@ class MemoryBridge(Bridge):
         def relay(row: object, _writer: str = "") -> None:
             consumer.take(write(read(row)))
 
-        channel = Channel(source, lambda: producer.leave(channel))
-        producer.join(channel, relay)
-        return channel
+        def leave() -> None:
+            producer.leave(link)
+            consumer.leave(link)
+
+        link = NativeLink(source, sink, leave)
+        producer.join(link, relay)
+        consumer.join(link, None)
+        return link
 
     def _discover(self) -> tuple[Discovered, ...]:
         return tuple(
@@ -212,13 +215,19 @@ class MemoryBridge(Bridge):
     def _close(self) -> None:
         self._components.clear()
 
-    def _channels(self) -> tuple[Channel, ...]:
-        ports = (
-            component
-            for component in self._components.values()
-            if not isinstance(component, MemoryService)
-        )
-        return tuple(channel for port in ports for channel in port.channels())
+    def _report_at(
+        self,
+        name: str,
+        component: Emitter | Taker | Loop | MemoryService,
+        health: Health,
+        cause: str,
+    ) -> None:
+        """Report it of what is open at a component; of a link, of its end there."""
+        channels = () if isinstance(component, MemoryService) else component.channels()
+        for channel in channels:
+            sink = channel.sink if isinstance(channel, NativeLink) else None
+            end = sink.component if sink is not None and sink.address == (name,) else None
+            self.report(health, cause, channel=channel, component=end)
 
     def _require_link(self) -> None:
         if self._is_cut:

@@ -21,6 +21,7 @@ from uoarm.bridge import (
     Discovered,
     Handler,
     LimitedLog,
+    NativeLink,
     ServiceStructures,
     Sink,
     Source,
@@ -106,7 +107,10 @@ class Ros1Bridge(Bridge):
     ) -> None:
         """Report a change, and say it on /rosout."""
         if health is Health.LOST and channel is not None:
-            self._remember(channel.endpoint, may_answer=not getattr(channel, "is_silent", False))
+            end, is_silent = channel.endpoint, getattr(channel, "is_silent", False)
+            if isinstance(channel, NativeLink) and component == channel.sink.component:
+                end, is_silent = channel.sink, False
+            self._remember(end, may_answer=not is_silent)
         super().report(health, cause, channel=channel, component=component)
         if self._rosout is not None:
             self._rosout.say(health, cause)
@@ -378,7 +382,7 @@ class Ros1Bridge(Bridge):
         self._served.add(served)
         return served
 
-    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+    def _link(self, source: Endpoint, sink: Endpoint) -> NativeLink | None:
         ends = [(end, address_of(end), port_of(end)) for end in (source, sink)]
         if any(address.is_parameter for _, address, _ in ends):
             return None
@@ -414,11 +418,14 @@ class Ros1Bridge(Bridge):
     def _place(self, endpoint: Endpoint, topic: str, port: Ros1Options) -> TopicPlace:
         wait = self._options.wait if port.wait is None else port.wait
         clock: Callable[[], float] = time.monotonic if self._clock is None else self._clock.now
-        return TopicPlace(self._node, endpoint, topic, port, wait, self.report_channel, clock)
+        report = partial(self.report_channel, component=endpoint.component)
+        return TopicPlace(self._node, endpoint, topic, port, wait, report, clock)
 
     def _opened_at(self, channel: C) -> C:
         with self._table_lock:
             self._lost.forget(channel.endpoint.component)
+            if isinstance(channel, NativeLink):
+                self._lost.forget(channel.sink.component)
         if isinstance(channel, _Ticking):
             self._ticking.add(channel)
         return channel

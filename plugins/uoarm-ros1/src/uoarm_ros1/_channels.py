@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 
 from attrs import evolve, frozen
@@ -15,12 +16,13 @@ from uoarm.bridge import (
     ChannelMonitor,
     Delivery,
     HealthReason,
+    NativeLink,
     Sink,
     Source,
     on_failure,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Endpoint, Health, Message
+from uoarm.model import Endpoint, Health, Message, Role
 from uoarm_ros1._definitions import RosRecord
 from uoarm_ros1._discovery import Graph
 from uoarm_ros1._node import Node
@@ -372,18 +374,16 @@ class Ros1TopicSink(Sink):
         self._publishing.close()
 
 
-class Relay(Channel):
+class Relay(NativeLink):
     """Octets of one topic go out on another of the same type, as they are."""
 
     def __init__(self, source: TopicPlace, sink: TopicPlace, record: RosRecord) -> None:
-        super().__init__(source.endpoint)
+        super().__init__(source.endpoint, sink.endpoint)
         self._moved = 0
-
-        def say(health: Health, cause: str) -> None:
-            source.report(self, health, cause)
-
-        self._publishing = _Publishing(sink, record, say)
-        self._subscribed = _Subscribed(source, record, self._take, say, in_runs=True)
+        self._publishing = _Publishing(sink, record, partial(sink.report, self))
+        self._subscribed = _Subscribed(
+            source, record, self._take, partial(source.report, self), in_runs=True
+        )
         with on_failure(self._publishing.close):
             self._subscribed.open()
 
@@ -419,44 +419,42 @@ class Relay(Channel):
         self._publishing.close()
 
 
-class SameTopic(Channel):
+class SameTopic(NativeLink):
     """Two nodes that have one topic in common: the master has them connected already.
 
     It looks now and then whether both live still.
     """
 
     def __init__(self, source: TopicPlace, sink: TopicPlace) -> None:
-        super().__init__(source.endpoint)
+        super().__init__(source.endpoint, sink.endpoint)
         self._source, self._sink = source, sink
-        self._is_lost = False
-        if cause := self._missing(Graph(source.node, time.monotonic() - _SHARED_SECONDS)):
-            raise BridgeError(f"{source.endpoint}: {cause}", FailureReason.UNAVAILABLE)
+        self._lost: set[Role] = set()  # of the ends
+        for end, cause in self._missing(Graph(source.node, time.monotonic() - _SHARED_SECONDS)):
+            raise BridgeError(f"{end.endpoint}: {cause}", FailureReason.UNAVAILABLE)
 
     def tick(self, graph: Graph) -> None:
         """Look whether both ends are there."""
-        if not self._is_lost and not self.closed and (cause := self._missing(graph)):
-            self._is_lost = True
-            self._source.report(self, Health.LOST, cause)
+        for end, cause in self._missing(graph):
+            if end.endpoint.role not in self._lost and not self.closed:
+                self._lost.add(end.endpoint.role)
+                end.report(self, Health.LOST, cause)
 
     def nodes(self, graph: Graph) -> list[str]:
         """Return the nodes of which some must live."""
-        return [node for _, nodes in self._required(graph) for node in nodes]
+        return [node for _, _, nodes in self._required(graph) for node in nodes]
 
-    def _missing(self, graph: Graph) -> str:
-        try:
-            for what, nodes in self._required(graph):
+    def _missing(self, graph: Graph) -> Iterator[tuple[TopicPlace, str]]:
+        with suppress(BridgeError):  # of the master's absence it says nothing
+            for end, what, nodes in self._required(graph):
                 if not graph.living(nodes):
-                    return f"no node that lives {what} {self._source.topic}"
-        except BridgeError:
-            pass  # of the master's absence it says nothing
-        return ""
+                    yield end, f"no node that lives {what} {end.topic}"
 
-    def _required(self, graph: Graph) -> Iterator[tuple[str, tuple[str, ...]]]:
-        topic = self._source.topic
-        if self._source.port.peer_required:
-            yield "publishes", graph.state.publishers.get(topic, ())
-        if self._sink.port.peer_required:
-            yield "subscribes to", graph.state.subscribers.get(topic, ())
+    def _required(self, graph: Graph) -> Iterator[tuple[TopicPlace, str, tuple[str, ...]]]:
+        source, sink, topic = self._source, self._sink, self._source.topic
+        if source.port.peer_required:
+            yield source, "publishes", graph.state.publishers.get(topic, ())
+        if sink.port.peer_required:
+            yield sink, "subscribes to", graph.state.subscribers.get(topic, ())
 
     def _close(self) -> None:
         """Nothing was opened."""

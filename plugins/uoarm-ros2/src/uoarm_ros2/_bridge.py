@@ -20,6 +20,7 @@ from uoarm.bridge import (
     Description,
     Discovered,
     Handler,
+    NativeLink,
     ServiceStructures,
     Sink,
     Source,
@@ -377,7 +378,7 @@ class Ros2Bridge(Bridge):
         self._watched[made] = others.tick
         return made
 
-    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+    def _link(self, source: Endpoint, sink: Endpoint) -> NativeLink | None:
         wanted = [
             (endpoint, address_of(endpoint), options_of(endpoint)) for endpoint in (source, sink)
         ]
@@ -394,7 +395,7 @@ class Ros2Bridge(Bridge):
             if contexts[0].topic.type != contexts[1].topic.type:
                 return None
             if contexts[0].topic.name != contexts[1].topic.name:
-                link: Channel = self._wait_for_peer(SerialisedRelay(*contexts))
+                link: NativeLink = self._wait_for_peer(SerialisedRelay(*contexts))
             else:
                 same = SameTopicLink(*contexts)
                 self._watched[same] = same.tick
@@ -450,7 +451,7 @@ class Ros2Bridge(Bridge):
             options,
             options.policies.for_type(large=large),
             self._options.settle,
-            self.report_channel,
+            partial(self.report_channel, component=endpoint.component),
             self._diagnostics,
             self._clock,
         )

@@ -10,7 +10,7 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm.bridge import Channel, ChannelMonitor, Delivery, Sink, Source, on_failure
+from uoarm.bridge import ChannelMonitor, Delivery, NativeLink, Sink, Source, on_failure
 from uoarm.cdr import forget_octets, note_octets
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Health, Message, OverflowPolicy, QueuePolicy
@@ -376,22 +376,19 @@ class SubscriptionSource(Source):
             forget_octets()
 
 
-class SerialisedRelay(Channel):
+class SerialisedRelay(NativeLink):
     """Passes serialised bytes from one topic to another of the same type."""
 
     def __init__(self, source: TopicContext, sink: TopicContext) -> None:
-        super().__init__(source.endpoint)
-        report = source.report
+        super().__init__(source.endpoint, sink.endpoint)
 
-        def report_half(channel: Channel, health: Health, cause: str) -> None:
-            del channel  # the halves are ours alone
-            report(self, health, cause)
+        def of_link(end: TopicContext) -> TopicContext:
+            """Return the context of a half, which is ours alone: the link is what reports."""
+            return evolve(end, report=lambda _, *event: end.report(self, *event))
 
-        self._out = PublisherSink(evolve(sink, report=report_half), bytes)
+        self._out = PublisherSink(of_link(sink), bytes)
         with on_failure(self._out.close):
-            self._into = SubscriptionSource(
-                evolve(source, report=report_half), bytes, self._out.send
-            )
+            self._into = SubscriptionSource(of_link(source), bytes, self._out.send)
 
     def wait(self) -> None:
         """Wait for the peers of both halves, for readers first so that no first message is lost.
@@ -419,26 +416,63 @@ class SerialisedRelay(Channel):
         self._out.close()
 
 
-class SameTopicLink(Channel):
+class _WatchedEnd:
+    """What has a topic in common with others that ROS 2 connects by itself.
+
+    Args:
+        link: that it is an end of.
+        context: of the end.
+        peers: returns those of a topic that are on the graph.
+        peer_word: what they are.
+    """
+
+    def __init__(
+        self,
+        link: NativeLink,
+        context: TopicContext,
+        peers: Callable[[str], tuple[Peer, ...]],
+        peer_word: str,
+    ) -> None:
+        self._context, self._peers = context, peers
+        self._missing = f"it has no {peer_word}"
+        self._health = monitored(f"topic {context.topic.name}", link, context.report)
+        self._health.connected()
+        self._entry = context.entry()
+
+    def tick(self) -> None:
+        """Look at the graph, and at what the end says of itself."""
+        context = self._context
+        if context.options.peer_required and not self._peers(context.topic.name):
+            self._health.connected(0, self._missing)
+        else:
+            self._health.connected()
+        if self._entry is not None:
+            judge_by_entry(self._health, self._entry)
+
+    def close(self) -> None:
+        if self._entry is not None:
+            self._entry.close()
+
+
+class SameTopicLink(NativeLink):
     """Two endpoints on one topic, which ROS 2 connects by itself: only watched.
 
-    Lost when no publisher, or no subscription, is left.
+    An end is lost when no publisher, or no subscription, is left.
     """
 
     def __init__(self, source: TopicContext, sink: TopicContext) -> None:
-        super().__init__(source.endpoint)
+        super().__init__(source.endpoint, sink.endpoint)
         self._source = source
-        self._sink = sink
-        self._health = monitored(f"topic {source.topic.name}", self, source.report)
-        self._health.connected()
-        self._entries = [entry for end in (source, sink) if (entry := end.entry()) is not None]
+        runner = source.runner
+        begin = _WatchedEnd(self, source, runner.publishers, "publisher")
+        with on_failure(begin.close):
+            end = _WatchedEnd(self, sink, runner.subscriptions, "subscription")
+        self._ends = begin, end
 
     def tick(self) -> None:
-        """Look at the graph, and at what the ends say of themselves."""
-        missing = self._missing()
-        self._health.connected(0 if missing else 1, missing)
-        for entry in self._entries:
-            judge_by_entry(self._health, entry)
+        """Look after both ends."""
+        for end in self._ends:
+            end.tick()
 
     def facts(self) -> Mapping[str, object]:
         """Return how many publishers and subscriptions the topic has; nothing after the end."""
@@ -450,14 +484,6 @@ class SameTopicLink(Channel):
             }
         return {}
 
-    def _missing(self) -> str:
-        runner, name = self._source.runner, self._source.topic.name
-        if self._source.options.peer_required and not runner.publishers(name):
-            return "it has no publisher"
-        if self._sink.options.peer_required and not runner.subscriptions(name):
-            return "it has no subscription"
-        return ""
-
     def _close(self) -> None:
-        for entry in self._entries:
-            entry.close()
+        for end in self._ends:
+            end.close()

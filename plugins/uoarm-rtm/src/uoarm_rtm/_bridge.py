@@ -18,6 +18,7 @@ from uoarm.bridge import (
     Description,
     Discovered,
     Handler,
+    NativeLink,
     ServiceStructures,
     Sink,
     Source,
@@ -227,7 +228,7 @@ class RtmBridge(Bridge):
             self._orb, endpoint, peer, port, wanted, servant, self._connections
         )
 
-    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+    def _link(self, source: Endpoint, sink: Endpoint) -> NativeLink | None:
         addresses = address_of(source), address_of(sink)
         if any(address.component == SELF for address in addresses):
             return None
@@ -298,7 +299,7 @@ class RtmBridge(Bridge):
             self._types.codec(port.data_type),
             RtmEndpointOptions.of_endpoint(endpoint),
             self._options.call_seconds,
-            self.report,
+            self.report_channel,
             self._active.leave,
         )
 

@@ -14,7 +14,7 @@ from _uoarm_rtm_stubs import OpenRTM, OpenRTM__POA
 from attrs import evolve
 from omniORB import CORBA
 
-from uoarm.bridge import Channel, Delivery, Sink, Source, on_failure
+from uoarm.bridge import Delivery, NativeLink, Sink, Source, on_failure
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Message, Role
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
@@ -397,7 +397,7 @@ class InPortSink(Sink):
             self._remote.orb.withdraw(self._outlet)
 
 
-class NativeConnector(Channel):
+class NativeConnector(NativeLink):
     """A connector from one component's OutPort to another's InPort.
 
     Args:
@@ -415,15 +415,11 @@ class NativeConnector(Channel):
         sink: RemotePort,
         options: RtmEndpointOptions,
     ) -> None:
-        super().__init__(source.endpoint)
+        super().__init__(source.endpoint, sink.endpoint)
         self._ends = source, sink
         self._where = f"{source.where} to {sink.where}"
-        # Of the source as this channel, which has its endpoint; of the sink as its component.
-        self._health = LinkHealth(
-            self._where,
-            ConnectorHealth(self, source),
-            ConnectorHealth(self, sink, component=sink.endpoint.component),
-        )
+        ends = (ConnectorHealth(self, end) for end in self._ends)
+        self._health = LinkHealth(self._where, *ends)
         properties = connector_properties(options, source.port.data_type)
         self._connector = source.connections.connect(
             self._where, properties, source.port, sink.port

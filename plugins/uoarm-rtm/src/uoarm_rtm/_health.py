@@ -116,7 +116,7 @@ class RemotePort:
     codec: CdrCodec
     options: RtmEndpointOptions = field(hash=False)
     seconds: float
-    report: Callable[..., None]
+    report: Callable[[Channel, Health, str, str], None]
     ended: Callable[[Channel], None]
 
     @property
@@ -168,7 +168,6 @@ class ConnectorHealth:
         channel: the channel that it belongs to.
         remote: the port at this end.
         stale_after: seconds without a message that count as a loss; None for any number.
-        component: to report of in place of the channel, for its far end; empty for none.
     """
 
     def __init__(
@@ -176,11 +175,9 @@ class ConnectorHealth:
         channel: Channel,
         remote: RemotePort,
         stale_after: float | None = None,
-        component: str = "",
     ) -> None:
         self._channel = channel
         self._remote = remote
-        self._about = {"component": component} if component else {"channel": channel}
         health = ChannelHealth(remote.where, time.monotonic(), stale_after=stale_after)
         # Messages come in threads of the ORB, checks in those of the watch.
         self._monitor = ChannelMonitor(health, self._report)
@@ -244,7 +241,8 @@ class ConnectorHealth:
         if health is Health.LOST:
             self.lost = cause
         if not self._channel.closed:
-            self._remote.report(health, cause, **self._about)
+            end = self._remote.endpoint.component
+            self._remote.report(self._channel, health, cause, end)
 
 
 class LinkHealth:

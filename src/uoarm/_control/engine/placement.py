@@ -13,13 +13,27 @@ from typing import Any, NamedTuple
 from attrs import evolve, field, frozen
 from rpds import HashTrieMap, HashTrieSet
 
-from uoarm.model import Edge, Health, Plan, Step, ValidationMode
+from uoarm.model import Edge, Health, Plan, Role, Step, ValidationMode
 
 NOTHING: HashTrieMap[Any, Any] = HashTrieMap()
 NONE: HashTrieSet[Any] = HashTrieSet()
 """The empty map and the empty set, from which persistent ones begin."""
 
 _BETTER_TO_WORSE = tuple(Health)
+
+
+class LinkEnd(NamedTuple):
+    """One end of a native link, as a part of its component of which the health is reported.
+
+    Attributes:
+        role, port: of the component that has this end.
+        peer, peer_port: the component at the other end, and its port.
+    """
+
+    role: Role
+    port: str
+    peer: str
+    peer_port: str
 
 
 @frozen

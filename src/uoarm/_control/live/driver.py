@@ -29,7 +29,7 @@ from uoarm._control.engine.step import step
 from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDelivery, record_takeover
 from uoarm._control.live.listeners import EventDispatcher, EventLog
 from uoarm._control.live.offers import Offers
-from uoarm._control.live.parts import LiveParts, OpenedParts
+from uoarm._control.live.parts import LiveParts, OpenedParts, subject_of
 from uoarm._control.live.revisions import Revisions, StagedRevision
 from uoarm._dataplane import Clock
 from uoarm._encodable import shown
@@ -270,15 +270,9 @@ class Driver:
 
     def report(self, event: HealthEvent, *, is_avoided: bool = False) -> None:
         """Take a change of health; one of a channel that was closed is no news."""
-        channel = event.channel
-        part: object = "bridge" if event.component is None else "component"
-        component = event.component
-        if channel is not None:
-            if channel.closed:
-                return
-            # Found by its endpoint: it may report before its opening has returned.
-            component = channel.endpoint.component
-            part = channel.endpoint.role, channel.endpoint.port
+        if event.channel is not None and event.channel.closed:
+            return
+        component, part = subject_of(event)
         # By now another bridge may have the name: what it has opened is not what died.
         spared = frozenset[int]()
         if event.health is Health.LOST and component is None:

@@ -7,7 +7,7 @@ turns what becomes of them into events.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from functools import partial
 from itertools import chain
 from typing import Protocol, TypeVar
@@ -23,6 +23,7 @@ from uoarm._control.engine.placement import (
     ComponentRecord,
     EdgeRecord,
     Kind,
+    LinkEnd,
     Part,
     Parts,
     Placement,
@@ -32,7 +33,7 @@ from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._dataplane import Clock, FailureWatch, Route
 from uoarm._parts import ApplicationPorts, LiveComponent, LiveEdge
 from uoarm._safety import EmergencyStop
-from uoarm.bridge import Bridge
+from uoarm.bridge import Bridge, HealthEvent, NativeLink
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.model import Component, ComponentStatus, Health, RouteStatus, ValidationMode
 
@@ -549,6 +550,20 @@ class LiveParts:
                 "connections; it can be opened again when it does",
                 FailureReason.UNAVAILABLE,
             )
+
+
+def subject_of(event: HealthEvent) -> tuple[str | None, Hashable]:
+    """Return the component that a report is about, None for a bridge, and which part of it."""
+    channel, component = event.channel, event.component
+    if channel is None:
+        return component, "bridge" if component is None else "component"
+    # Found by its endpoint: it may report before its opening has returned.
+    end = channel.endpoint
+    if not isinstance(channel, NativeLink):
+        return end.component, (end.role, end.port)
+    ends = (end, channel.sink) if component != channel.sink.component else (channel.sink, end)
+    near, far = ends
+    return near.component, LinkEnd(near.role, near.port, far.component, far.port)
 
 
 def _there(objects: Mapping[int, T], ids: Iterable[int]) -> list[T]:

@@ -17,7 +17,7 @@ from uoarm._host.transport.transport import ANSWER_SECONDS, Reply, RequestWorker
 from uoarm._raised import Log
 from uoarm._support.workers import WorkerPool
 from uoarm._version import __version__
-from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent, ServiceStructures
+from uoarm.bridge import CONTRACT_VERSION, Bridge, HealthEvent, ServiceStructures, Source
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json
 
@@ -222,8 +222,8 @@ class RequestDispatcher:
 
     def _noticed(self, event: HealthEvent) -> None:
         """Take an event in the bridge's thread; what concerns a source goes with its messages."""
-        channel: Channel | None = event.channel
-        if channel is not None and event.health in {Health.FINISHED, Health.LOST}:
+        channel = event.channel
+        if isinstance(channel, Source) and event.health in {Health.FINISHED, Health.LOST}:
             outbound = self._flows.outbound_of(channel)
             if outbound is not None:
                 outbound.finish(FlowEnding(event.health.value, event.cause))
@@ -232,7 +232,7 @@ class RequestDispatcher:
             "health": event.health.value,
             "cause": event.cause,
             "flow": None if channel is None else self._flows.number_of(channel),
-            "component": event.component if channel is None else channel.endpoint.component,
+            "component": event.component or (channel and channel.endpoint.component),
         }
         self._reporter.submit(self._report, reports)
 

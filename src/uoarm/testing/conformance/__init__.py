@@ -14,6 +14,13 @@ reason, so that a report of the run is also the list of what a bridge does not d
 """
 
 from uoarm.testing.conformance._suite import BridgeConformance
-from uoarm.testing.conformance._world import Pair, Retained, Served, Victim, World
+from uoarm.testing.conformance._world import (
+    LinkVictim,
+    Pair,
+    Retained,
+    Served,
+    Victim,
+    World,
+)
 
-__all__ = ["BridgeConformance", "Pair", "Retained", "Served", "Victim", "World"]
+__all__ = ["BridgeConformance", "LinkVictim", "Pair", "Retained", "Served", "Victim", "World"]

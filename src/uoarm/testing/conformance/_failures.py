@@ -16,6 +16,7 @@ from uoarm.model import Endpoint, Health, Message
 from uoarm.testing._waiting import Background, Collector, same, wait
 from uoarm.testing.conformance._world import (
     Line,
+    LinkVictim,
     World,
     examples_of_service,
     hold_bridge_idle,
@@ -306,6 +307,23 @@ def _subject(event: HealthEvent) -> object:
     return event.component if event.channel is None else id(event.channel)
 
 
+def _hold_blamed(world: World, bridge: Bridge, victim: LinkVictim) -> None:
+    """Link a pair, kill one end, and hold that this one is reported to be lost, and no other."""
+    log, pair, dead = HealthLog(world, bridge), victim.pair, victim.endpoint.component
+    link = bridge.link(pair.source, pair.sink)
+    assert link is not None, f"{pair.source} and {pair.sink} are not linked"
+
+    def lost() -> set[str]:
+        events = [event for event in tuple(log.events) if event.health is Health.LOST]
+        found = {event.component or (event.channel or link).endpoint.component for event in events}
+        return found.intersection((pair.source.component, pair.sink.component))
+
+    victim.kill()
+    wait(lost, lambda: f"{dead} died, and this was reported: {log.events}", world.patience)
+    assert lost() == {dead}, f"{dead} died, and this was reported: {log.events}"
+    Background(link.close).result(world.patience)
+
+
 def _lost(through: Line) -> int:
     facts = [end.facts() for end in (through.sink, through.source)]
     # Of a hosted bridge, what its sink refused is counted on this side under a name of its own.
@@ -373,6 +391,15 @@ class DisturbanceRules:
             report.wait(victim.source, channel, lambda item: item.health is Health.LOST)
         for channel in channels:
             Background(channel.close).result(world.patience)
+
+    def test_a_death_at_one_end_of_a_link_is_reported_of_that_component_alone(
+        self, world: World, bridge: Bridge
+    ) -> None:
+        victims = world.link_victims()
+        if not victims:
+            pytest.skip("no end of a link dies in the world")
+        for victim in victims:
+            _hold_blamed(world, bridge, victim)
 
     def test_a_message_that_fits_nothing_is_refused_in_words_or_carried(
         self, world: World, bridge: Bridge, kind: str

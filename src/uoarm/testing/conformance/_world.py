@@ -191,6 +191,21 @@ class Victim:
 
 
 @frozen
+class LinkVictim:
+    """Two endpoints that can be linked, one of which ends when `kill` is called.
+
+    Attributes:
+        pair: of two components; `source` feeds `sink`.
+        endpoint: the one whose component ends.
+        kill: ends it, as when its process dies.
+    """
+
+    pair: Pair
+    endpoint: Endpoint
+    kill: Callable[[], object]
+
+
+@frozen
 class Retained:
     """An output whose last message stands: `emit` has the component emit one and returns it."""
 
@@ -341,6 +356,10 @@ class World(ABC):
     def linkable(self) -> Pair | None:
         """Return two endpoints that the bridge can link; `source` feeds `sink`."""
         return None
+
+    def link_victims(self) -> Sequence[LinkVictim]:
+        """Return links of which one end can be killed: each way to link, and each of its ends."""
+        return ()
 
 
 @frozen

@@ -89,6 +89,9 @@ class ExampleBus:
             for number, subscribed in client.subscribed.items():
                 if subscribed == topic:
                     client.write({**event, "id": number})
+            for number, (source, _) in client.links.items():
+                if source == topic and event["event"] == "gone":
+                    client.write({**event, "id": number})
         if event["event"] == "message":
             for client in tuple(self._clients):
                 for source, sink in tuple(client.links.values()):

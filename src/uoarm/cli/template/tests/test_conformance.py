@@ -12,6 +12,7 @@ from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import patience
 from uoarm.testing.conformance import (
     BridgeConformance,
+    LinkVictim,
     Pair,
     Retained,
     Served,
@@ -108,6 +109,12 @@ class ExampleWorld(World):
 
     def linkable(self) -> Pair:
         return Pair(sink=at("to", Role.INPUT), source=at("from", Role.OUTPUT))
+
+    def link_victims(self) -> Sequence[LinkVictim]:
+        peer = self.peer()
+        peer.ask("own", topic="from")
+        pair = self.linkable()
+        return [LinkVictim(pair, pair.source, peer.close)]
 
     def peer(self) -> ExamplePeer:
         self._peers.append(ExamplePeer(self._bus))

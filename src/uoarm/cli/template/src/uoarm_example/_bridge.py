@@ -10,6 +10,7 @@ from uoarm.bridge import (
     Description,
     Discovered,
     Handler,
+    NativeLink,
     ServiceStructures,
     Sink,
     Source,
@@ -82,7 +83,7 @@ class ExampleBridge(Bridge):
             endpoint, _options(endpoint), self._connection, handler, self.report_channel, schemas
         )
 
-    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+    def _link(self, source: Endpoint, sink: Endpoint) -> NativeLink | None:
         options = _options(source)
         return ExampleLink(source, sink, options, self._connection, self.report_channel)
 

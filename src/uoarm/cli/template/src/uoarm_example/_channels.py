@@ -6,7 +6,17 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.bridge import Channel, Delivery, Handler, ReceiveQueue, Sink, Source, foreign, text_of
+from uoarm.bridge import (
+    Channel,
+    Delivery,
+    Handler,
+    NativeLink,
+    ReceiveQueue,
+    Sink,
+    Source,
+    foreign,
+    text_of,
+)
 from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
 from uoarm.model import Budget, BudgetUse, Endpoint, Health, Message, scan_json
 from uoarm_example._connection import ExampleConnection
@@ -217,8 +227,8 @@ class ExampleService(Channel):
         self._joined.close()
 
 
-class ExampleLink(Channel):
-    """Two topics that the bus connects without this process."""
+class ExampleLink(NativeLink):
+    """Two topics that the bus connects without this process; it says when the first one ends."""
 
     def __init__(
         self,
@@ -228,7 +238,7 @@ class ExampleLink(Channel):
         connection: ExampleConnection,
         report: Report,
     ) -> None:
-        super().__init__(source)
+        super().__init__(source, sink)
         if source.address == sink.address:
             text = f"{source} and {sink} are one topic: it would go round without end"
             raise BridgeError(text, FailureReason.REFUSED)
