@@ -7,6 +7,7 @@ import resource
 import socket
 import struct
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -176,6 +177,27 @@ def test_a_process_with_many_descriptors_open_connects(link: BrokerConnection) -
         for descriptor in taken:
             os.close(descriptor)
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+def test_two_clients_of_one_name_end_each_other_less_and_less_often(broker: Broker) -> None:
+    options = connection_options("m", BrokerOptions.of({"url": broker.url, "client_id": "same"}))
+    breaks: list[tuple[float, str]] = []
+
+    def report(health: Health, cause: str) -> None:
+        if health is not Health.OK:
+            breaks.append((time.monotonic(), cause))
+
+    first = BrokerConnection("m", options, report)
+    second = BrokerConnection("m", options, lambda *_: None)
+    try:
+        first.require_up()
+        second.require_up()
+        wait(lambda: len(breaks) > 4)
+    finally:
+        first.close()
+        second.close()
+    assert breaks[4][0] - breaks[0][0] >= 0.1 + 0.2 + 0.4 + 0.8
+    assert "has another client the same `client_id`?" in breaks[4][1]
 
 
 def test_a_closed_one_says_so(link: BrokerConnection) -> None:

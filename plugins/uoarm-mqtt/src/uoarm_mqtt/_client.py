@@ -5,6 +5,7 @@ from __future__ import annotations
 import selectors
 import ssl
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Literal
@@ -20,6 +21,8 @@ from uoarm_mqtt._options import BrokerCredentials
 
 MOST_IN_FLIGHT = 20
 _UNSPECIFIED = 0x80
+_SHORT_SECONDS = 10.0  # a connection that was up for less broke soon
+_AGAIN = 3  # such connections in a row
 _TAKEN = MQTTMessage()  # stands for a message until the broker lets it go
 _TAKEN.qos = 2
 # `select` takes no descriptor above 1,024, and is what Windows has.
@@ -69,6 +72,9 @@ class BrokerClient(ThreadedClient):
     is_answered: bool  # whether the broker answered the attempt that was begun last
     most_octets: int  # of a packet, as the broker was asked
     _broken_by: OSError | None
+    _began = 0.0
+    _short = 0  # connections in a row that broke soon
+    _pause: int | None = None  # paho has it so, also of fractions
     # Of a message of QoS 2: its number, and whether it came before.
     _received: tuple[int, bool] | None = None
 
@@ -114,7 +120,7 @@ class BrokerClient(ThreadedClient):
 
     def show(self, credentials: BrokerCredentials) -> None:
         """Show the broker these from the next connection on."""
-        self.is_answered, self._broken_by = False, None
+        self.is_answered, self._broken_by, self._began = False, None, time.monotonic()
         if credentials.user:
             self.username_pw_set(credentials.user, credentials.password)
         if credentials.context is not None:
@@ -129,10 +135,22 @@ class BrokerClient(ThreadedClient):
         if is_closed:
             why = "the broker closed it and did not say why"
         is_ended = is_closed or error is not None
+        if is_closed and self.is_answered and self._short >= _AGAIN:
+            why += "; it does so again and again: has another client the same `client_id`?"
         if self.is_answered or not is_ended or isinstance(error, ssl.SSLError):
             return f"the connection broke: {why}"
         hint = "a certificate of the client (`tls`)" if self._ssl else "TLS (`mqtts://`)"
         return f"it ended before the broker answered: does it ask for {hint}? {why}"
+
+    def _reconnect_wait(self) -> None:
+        # After any connection paho begins with the shortest pause: also after one that the broker
+        # ends as soon as it is there, each time.
+        if self._reconnect_delay is None:
+            is_short = time.monotonic() - self._began < _SHORT_SECONDS
+            self._short = self._short + 1 if is_short else 0
+            self._reconnect_delay = self._pause if is_short else None
+        super()._reconnect_wait()
+        self._pause = self._reconnect_delay
 
     def _handle_publish(self) -> MQTTErrorCode:
         try:
