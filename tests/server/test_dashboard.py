@@ -17,7 +17,7 @@ from uoarm.bridge import BridgeType, Registry
 from uoarm.config import load, loads
 from uoarm.server import ServerOptions, hash_token, serve_in_thread
 from uoarm.server.access._approvals import ApprovalFoundation, ApprovalRequest
-from uoarm.testing import MemoryBridge, free_port, patience
+from uoarm.testing import MemoryBridge, free_port, patience, wait
 
 MOVES = """
 version: 1
@@ -70,10 +70,15 @@ def test_the_graph_shows_functions_components_and_what_flows(
     browser.until("document.querySelectorAll('.row.open').length === 2")
     browser.until(says('[data-card="connection/c1"]', "faces"))
     assert "loose" in browser.js(text('[data-card="function/faces"] .row.open'))
-    front.take((9, 9, 9))
-    front.take((9, 9, 9))
+
+    def flows() -> bool:
+        front.take((9, 9, 9))
+        return bool(browser.js("document.querySelectorAll('.edge.flows.moving').length === 2"))
+
+    wait(flows, "nothing flows")
     browser.until(says('[data-card="function/camera"] .row.open', "/s"))
-    browser.until("document.querySelectorAll('.edge.flows').length === 2")
+    # Any would paint the whole graph 60 times a second, for as long as messages come.
+    assert browser.js("document.getAnimations().length") == 0
 
 
 def test_frameworks_can_be_shown(browser: Browser, visit: Visit) -> None:
