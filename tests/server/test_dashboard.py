@@ -695,3 +695,52 @@ class TestManyComponents:
         browser.js("document.querySelector('.card-title').focus()")
         browser.press("+")
         assert browser.js("document.querySelector('.plane').style.transform") != before
+
+
+class TestLongNames:
+    """Names and texts as long as they may be."""
+
+    FIELD, BRIDGE, PART = "field" * 60, "bridge" * 20, "part" * 32
+    LONG = f"""
+version: 1
+bridges: {{{BRIDGE}: {{plugin: python}}, memory: {{plugin: python}}}}
+functions:
+  look:
+    description: {"https://robot.example/" + "a" * 300} {"word " * 2000}
+    components: [{{name: eye, bridge: memory, output: {{endpoint: [eye]}}}}]
+  act:
+    components: [{{name: {PART}, bridge: {BRIDGE}, service: {{endpoint: [act]}}}}]
+"""
+    WIDER = """
+[...document.querySelectorAll(".panel, .panel *, .list, .summary, .configuration")]
+  .filter((part) => part.clientWidth > 1 && part.scrollWidth > part.clientWidth + 1)
+  .map((part) => `${part.tagName} ${part.className} ${part.scrollWidth}`)
+"""
+
+    @pytest.fixture
+    def robot(self) -> Iterator[RobotManager]:
+        eyes, hands = MemoryBridge(), MemoryBridge(self.BRIDGE)
+        eyes.emitter("eye", {"type": "number"})
+        wanted = {"type": "object", "properties": {self.FIELD: {"type": "number"}}}
+        hands.service("act", wanted, wanted, lambda message: message)
+        given = {"memory": eyes, self.BRIDGE: hands}
+        with RobotManager(loads(self.LONG), registry=Registry(()), bridges=given) as robot:
+            yield robot
+
+    @pytest.mark.parametrize("width", [360, 1280])
+    @pytest.mark.parametrize(
+        "place", ["list", "configuration", "list/function/look", "list/function/act/use"]
+    )
+    def test_they_need_no_scrolling_sideways(
+        self, browser: Browser, visit: Visit, place: str, width: int
+    ) -> None:
+        browser.show(width, 740)
+        visit(f"#/{place}")
+        if place.endswith("use"):
+            browser.click(".form .button.small", self.FIELD)
+            browser.until("document.querySelector('.form input')")
+        browser.until("document.querySelector('.list .item, .found-bridge')")
+        assert browser.js(self.WIDER) == []
+        if place.endswith("look"):
+            room = "document.querySelector('.panel-body').clientHeight > innerHeight / 3"
+            assert browser.js(room)
