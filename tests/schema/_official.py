@@ -6,6 +6,7 @@ It is asked for by package name at test time and kept in a cache folder (``UOARM
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
@@ -54,8 +55,11 @@ def groups(draft: str = NEWEST) -> tuple[Group, ...]:
     Those of older drafts name their draft.
     """
     folder = cache_folder() / f"json-schema-test-suites-{VERSION}"
-    if not folder.is_dir():
-        _fetch(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with (folder.parent / "lock").open("w") as lock:  # all workers come at the same time
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.is_dir():
+            _fetch(folder)
     found = _read(folder / draft)
     if draft == NEWEST:
         return tuple(found)
@@ -76,8 +80,7 @@ def cache_folder() -> Path:
 
 
 def _fetch(folder: Path) -> None:
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(dir=folder.parent) as own:  # other workers may fetch at the same time
+    with TemporaryDirectory(dir=folder.parent) as own:
         _unpack(Path(own), folder)
 
 
@@ -109,11 +112,7 @@ def _unpack(downloads: Path, folder: Path) -> None:
             target.write_bytes(source.read())
     if not members:
         raise SuiteMissingError(f"{archive.name} no longer carries {_INSIDE}")
-    try:
-        (downloads / "tests").rename(folder)
-    except OSError:
-        if not folder.is_dir():
-            raise
+    (downloads / "tests").rename(folder)
 
 
 def _pip() -> list[str]:
