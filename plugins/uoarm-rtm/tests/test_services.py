@@ -367,8 +367,8 @@ def test_two_components_are_linked_directly(bridge: Bridge, peer: Start) -> None
     channel.close()
     assert (talker.connectors(), listener.connectors()) == ([0, 0], [0, 0])
     again = bridge.link(out, into)
-    talker.cut()
-    assert events.event(Health.LOST, "have ended the connection").channel is again
+    talker.cut()  # which ends one port after the other: a check may come between them
+    assert events.event(Health.LOST, "ended the connection").channel is again
     other = peer("Other", "IDL:RTC/TimedDouble:1.0")
     assert bridge.link(out, endpoint(Role.INPUT, "Other.rtc", "in")) is None
     assert other.connectors() == [0, 0]
