@@ -7,18 +7,19 @@ the command is printed with which a person does.
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import argparse
 import asyncio
 import os
-import signal
 import sys
 import tempfile
 from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
-
-if __name__ == "__main__":  # an import may lose what Ctrl-C raises
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import httpx2
 from mcp.client.client import Client

@@ -5,13 +5,14 @@ Like many a real one it has no timeout of its own: it goes on until a command st
 
 from __future__ import annotations
 
-import os
 import signal
-from contextlib import suppress
-from math import cos, sin
 
 if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import os
+from contextlib import suppress
+from math import cos, sin
 
 import rclpy
 from geometry_msgs.msg import Twist

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-import asyncio
 import signal
-import sys
 
 if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import argparse
+import asyncio
+import sys
 
 from websockets.exceptions import InvalidHandshake
 

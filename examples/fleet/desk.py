@@ -6,10 +6,14 @@ is free, and gives a box that a dead vehicle had to another one.
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import os
 import queue
 import shutil
-import signal
 import subprocess
 import sys
 import threading
@@ -18,9 +22,6 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-
-if __name__ == "__main__":  # an import may lose what Ctrl-C raises
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from uoarm import RobotManager
 from uoarm.config import loads

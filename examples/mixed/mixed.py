@@ -5,12 +5,16 @@ It starts a master, a broker, two cameras and a sensor on loopback, ends by itse
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import argparse
 import os
 import queue
 import secrets
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -21,9 +25,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from string import Template
 from typing import Any
-
-if __name__ == "__main__":  # an import may lose what Ctrl-C raises
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from uoarm import RobotManager
 from uoarm.config import loads

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import signal
-from contextlib import suppress
 
 if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+from contextlib import suppress
 
 import rclpy
 from rclpy.node import Node

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import math
 import threading
 import time
 from contextlib import suppress
 from itertools import pairwise
 from typing import Any
-
-if __name__ == "__main__":  # an import may lose what Ctrl-C raises
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, TransformStamped

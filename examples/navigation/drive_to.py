@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import math
 import os
 import select
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-
-if __name__ == "__main__":  # an import may lose what Ctrl-C raises
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from uoarm import QueuePolicy, RobotManager
 from uoarm.errors import UoarmError

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import signal
-from contextlib import suppress
 
 if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import argparse
+from contextlib import suppress
 
 import rclpy
 from geometry_msgs.msg import PoseStamped

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import signal
-import sys
-import threading
 
 if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import math
+import sys
+import threading
 
 from uoarm_vda5050.vehicle import Drive, Vehicle
 

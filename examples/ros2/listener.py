@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-import os
 import signal
-from contextlib import suppress
 
 if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import argparse
+import os
+from contextlib import suppress
 
 import rclpy
 from rclpy.executors import ExternalShutdownException

@@ -6,12 +6,13 @@ python examples/rtm/counter.py [HOST:PORT]
 from __future__ import annotations
 
 import signal
-import sys
-import time
-from contextlib import closing, suppress
 
 if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import sys
+import time
+from contextlib import closing, suppress
 
 from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 

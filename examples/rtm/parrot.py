@@ -5,15 +5,16 @@ python examples/rtm/parrot.py [HOST:PORT]
 
 from __future__ import annotations
 
-import queue
 import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import queue
 import sys
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
-
-if __name__ == "__main__":  # an import may lose what Ctrl-C raises
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from uoarm_rtm.component import ComponentProfile, NamingService, Orb, RtComponent, Types
 

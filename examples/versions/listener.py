@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
-import os
 import signal
-import sys
-from contextlib import suppress
-from pathlib import Path
 
 if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import argparse
+import os
+import sys
+from contextlib import suppress
+from pathlib import Path
 
 import rclpy
 from rclpy.node import Node

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from tests.cli.test_interrupted import WAITING
+from tests.processes import run_python
 
 from uoarm.testing import patience
 
@@ -41,6 +43,24 @@ PROGRAMS = dict(programs())
 
 def test_programs_are_found() -> None:
     assert {"agent/visit.py", "ros2/talker.py", "fleet/desk.py"} <= PROGRAMS.keys()
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_it_is_ready_for_one_before_all_other_imports(name: str) -> None:
+    text = (EXAMPLES / name).read_text(encoding="utf-8")
+    imports = re.findall(r"^(?:import|from) (?!__future__)\S+", text, re.MULTILINE)
+    assert imports[0] == "import signal"
+    assert text.index("SIG_DFL)") < text.index(imports[1])
+
+
+@pytest.mark.parametrize(
+    "shared", ["healthbot/experiments/stage.py", "warehouse/experiments/experiment.py"]
+)
+def test_an_experiment_ends_in_silence(shared: str) -> None:
+    file = EXAMPLES / shared
+    code = f"import signal, {file.stem}; signal.raise_signal(signal.SIGINT)"
+    done = run_python("-c", code, env={**os.environ, "PYTHONPATH": str(file.parent)})
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -5,8 +5,12 @@ Exit code: 0 when all of them ran, 1 when one did not, 130 when interrupted.
 
 from __future__ import annotations
 
-import argparse
 import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import argparse
 import subprocess
 import sys
 from pathlib import Path
@@ -33,7 +37,8 @@ def main() -> int:
     if options.record:
         options.record.mkdir(parents=True, exist_ok=True)
     failed = 0
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         for name in _NAMES:
             print(f"... {name}", file=sys.stderr, flush=True)

@@ -19,7 +19,15 @@ EXAMPLE = Path(__file__).resolve().parents[1]
 ROOT = EXAMPLE.parents[1]
 sys.path[:0] = [str(EXAMPLE), str(EXAMPLE.parent / "vision")]
 
-from healthbot_scene.crew import Crew, Part, host_of  # noqa: E402 - found once the path is set
+from healthbot_scene.crew import (  # noqa: E402 - found once the path is set
+    Crew,
+    Part,
+    end_in_silence,
+    host_of,
+)
+
+sys.excepthook = end_in_silence
+
 from healthbot_scene.parts import parts_of  # noqa: E402
 from healthbot_scene.places import Places, make_places  # noqa: E402
 from vision_demo.ports import free_domain  # noqa: E402

@@ -6,9 +6,11 @@ import os
 import signal
 import string
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import TracebackType
 
 from attrs import frozen
 from typing_extensions import Self
@@ -18,6 +20,7 @@ __all__ = [
     "Part",
     "PartError",
     "Running",
+    "end_in_silence",
     "environment_of",
     "fill_in_robot",
     "host_of",
@@ -51,6 +54,14 @@ class Part:
     ready: Callable[[Path], bool]
     seconds: float = 60.0
     vital: bool = False
+
+
+def end_in_silence(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    """Report what ends a program as Python does, as its `sys.excepthook`, but Ctrl-C."""
+    if not issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
 
 
 class PartError(Exception):

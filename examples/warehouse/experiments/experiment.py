@@ -20,7 +20,14 @@ from attrs import field, frozen
 EXAMPLE: Final = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(EXAMPLE), str(EXAMPLE.parent / "healthbot"), str(EXAMPLE.parent / "vision")]
 
-from healthbot_scene.crew import Crew, Part  # noqa: E402 - found once the path is set
+from healthbot_scene.crew import (  # noqa: E402 - found once the path is set
+    Crew,
+    Part,
+    end_in_silence,
+)
+
+sys.excepthook = end_in_silence
+
 from warehouse_floor.link import FloorLink  # noqa: E402
 from warehouse_scene.parts import Places, make_places, parts_of  # noqa: E402
 
