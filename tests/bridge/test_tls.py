@@ -171,5 +171,8 @@ def test_why_tls_failed_is_said_in_words(
     with pytest.raises(ssl.SSLError) as raised:
         client.do_handshake()
     assert re.fullmatch(why, tls_fault(raised.value, "trust it"))
+    # As OpenSSL says in words of a release of TLS what a side thinks of the other's certificate.
+    ours = ssl.SSLError(1, "[SSL: TLSV1_ALERT_UNKNOWN_CA] tlsv1 alert unknown ca")
+    assert "no TLS: it says of this side's certificate: " in tls_fault(ours)
     assert tls_fault(ConnectionResetError("gone")) == "ConnectionResetError: gone"
     assert tls_fault(ConnectionResetError()) == "no TLS: it ended the connection"

@@ -785,7 +785,10 @@ class TestBroker:
                     {**ours, "ca": f"{tmp_path}/stranger.pem"},
                     "not trusted: .*; give its authority as `ca`",
                 ),
-                ({"ca": ours["ca"]}, "(?i)alert certificate|ask for a certificate of the client"),
+                (
+                    {"ca": ours["ca"]},
+                    "(?i)this side's certificate: .*alert|ask for a certificate of the client",
+                ),
                 (None, "ended before the broker answered: does it ask for TLS"),
             ):
                 options = {"url": broker.url} if tls is None else {"url": url, "tls": tls}
@@ -794,6 +797,16 @@ class TestBroker:
                     bad.describe(endpoint("x"))
         finally:
             broker.stop()
+
+    @pytest.mark.filterwarnings("ignore::ResourceWarning")
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+    def test_a_broker_without_tls_has_a_hint(self, broker: Broker) -> None:
+        url = broker.url.replace("mqtt:", "mqtts:")
+        why = (
+            r"before TLS was spoken: is that spoken there \(`mqtts://`\)\? ConnectionReset|no TLS:"
+        )
+        with bridge_to(broker, url=url) as bridge, pytest.raises(BridgeError, match=why):
+            bridge.describe(endpoint("x"))
 
     def test_a_connection_that_is_closed_before_the_answer_has_a_hint(self, broker: Broker) -> None:
         def close(server: socket.socket) -> None:

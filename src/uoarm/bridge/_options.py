@@ -211,8 +211,10 @@ def tls_fault(error: BaseException, trust: str = "give its authority as `ca` of 
         to_do = _TO_DO.get(getattr(error, "verify_code", 0), trust)
         return f"its certificate is not trusted: {error.verify_message.rstrip('.')}; {to_do}"
     if isinstance(error, ssl.SSLError):
-        reason = getattr(error, "reason", None) or str(error)
-        return f"no TLS: {reason.replace('_', ' ').lower()}"
+        reason = (getattr(error, "reason", None) or str(error)).replace("_", " ").lower()
+        if re.search("alert .*(certificate|unknown ca)", reason):
+            return f"no TLS: it says of this side's certificate: {reason}"
+        return f"no TLS: {reason}"
     if isinstance(error, ConnectionResetError) and not error.args:  # asyncio, in a handshake
         return "no TLS: it ended the connection"
     return text_of(error)

@@ -508,7 +508,10 @@ class BrokerConnection:
     def _on_connect_fail(self, client: Client, user: Any) -> None:
         del client, user
         error = sys.exc_info()[1]  # paho calls this while it handles it
-        self._down(tls_fault(error) if error else "it could not be reached")
+        why = tls_fault(error) if error else "it could not be reached"
+        if isinstance(error, ConnectionResetError):  # in the handshake
+            why = f"it ended before TLS was spoken: is that spoken there (`mqtts://`)? {why}"
+        self._down(why)
 
     def _on_disconnect(
         self,
