@@ -12,7 +12,7 @@ from uoarm._control.engine.placement import Kind
 from uoarm._control.engine.state import State
 from uoarm._control.engine.step import difference, step
 from uoarm.errors import ConnectionClosedError
-from uoarm.model import ConnectionState, FailoverPolicy, PortRef, ValidationMode
+from uoarm.model import ConnectionState, FailoverPolicy, Health, PortRef, ValidationMode
 
 SEEKING, OPENING, SWITCHING = MovePhase.SEEKING, MovePhase.OPENING, MovePhase.SWITCHING
 TAKING_OVER, DRAINING = MovePhase.TAKING_OVER, MovePhase.DRAINING
@@ -92,6 +92,27 @@ def test_a_death_seeks_opens_and_takes_over_and_what_drains_is_open_until_then(
     assert component in desired(world.state), "it drains"
     world.settle()
     assert component not in desired(world.state)
+
+
+def test_what_was_reported_of_a_native_link_ends_with_it(world: World) -> None:
+    for identity, function in (("c1", "face"), ("c2", "camera")):
+        world.request(identity, function)
+        world.settle()
+    (edge,) = world.state.edges.values()
+    (number, end), _ = edge.ends
+    name, bridge = edge.edge.producer, world.state.components[number].step.component.bridge
+
+    def healths(*reports: Health) -> list[Health]:
+        for health in reports:
+            world.post(ev.HealthReported(bridge, health, "so it is", name, end))
+        return [world.state.components[number].health.health, *reports]
+
+    assert healths(Health.DEGRADED) == [Health.DEGRADED] * 2
+    world.kill("c1")
+    world.settle()
+    assert healths() == [Health.OK]
+    assert healths(Health.DEGRADED) == [Health.OK, Health.DEGRADED], "it came too late"
+    assert not world.state.components[number].health.reported
 
 
 def test_members_of_a_switchover_wait_for_each_other(world: World) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from uoarm import RobotManager
@@ -77,8 +79,10 @@ def test_the_stop_is_taken_before_the_connection_has_ended(memory: MemoryBridge)
 def test_no_native_link_goes_past_the_watchdog(memory: MemoryBridge) -> None:
     planner = memory.emitter("planner", SPEED)
     base = memory.taker("base", SPEED)
-    settings = "from: plan, lifetime: 0.1, stop: {message: {v: 0.0}}"
-    with robot(memory, settings) as manager:
+    # Declared alike: what has two structures is never linked.
+    structure = f"structure: {json.dumps(SPEED)}"
+    settings = f"from: plan, {structure}, lifetime: 0.1, stop: {{message: {{v: 0.0}}}}"
+    with robot(memory, settings, f", {structure}") as manager:
         manager.request("drive")
         planner.emit(GO)
         wait(lambda: base.taken.messages == [GO, STOP])

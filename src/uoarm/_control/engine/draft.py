@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Iterable, Iterator, Mapping
+from collections.abc import Collection, Container, Hashable, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from itertools import chain
 from typing import Any
@@ -23,7 +23,7 @@ from uoarm._control.engine.placement import (
 from uoarm._control.engine.state import ConnectionRecord, State, oldest_first
 from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ResolutionError
-from uoarm.model import Component, Edge, Plan, Step, ValidationMode
+from uoarm.model import Component, Edge, Health, Plan, Step, ValidationMode
 
 
 class InputInUseError(ResolutionError):
@@ -202,8 +202,9 @@ class Draft(State):
         # only parts that are open already are returned here.
         if self.batches:
             self._cancel(placement)
+        components = self._leave_all(placement)  # first: what ends is not reported to be well
         edges, closed = self._part(placement, ports=ports)
-        return Parts(self._leave_all(placement), edges, closed)
+        return Parts(components, edges, closed)
 
     def _cancel(self, placement: Placement) -> None:
         # One batch at most is a plan's own; another's may be opening some of its parts, too.
@@ -275,6 +276,19 @@ class Draft(State):
                     joined = self.edges[number]
                     if component.id in (joined.producer, joined.consumer):
                         yield joined
+
+    def note_health(
+        self, component: int, part: Hashable, health: Health, cause: str
+    ) -> ComponentRecord:
+        """Note the health of a part of a component, and announce it where that is news."""
+        record = self.components[component]
+        noted = record.health.noted(part, health, cause)
+        if noted.is_news(record.health, health, cause):
+            subject, function = f"component {record.name}", record.step.component.function
+            self.do(act.Announce(subject, noted.health.value, noted.cause, function))
+        record = record._replace(health=noted)
+        self.components = self.components.insert(component, record)
+        return record
 
     def failed_lately(self, but: Iterable[str]) -> OrderedMap[str, float]:
         """Return the components that died within the last minutes, longest ago first.
@@ -529,6 +543,11 @@ class Draft(State):
             self.feeding = self.feeding.remove(joined.key)
         if self.beside.get(joined.key) == joined.id:
             self.beside = self.beside.remove(joined.key)
+        # Where it is a native link nothing of it is taken in any more, nor left standing.
+        for component, end in joined.ends:
+            record = self.components.get(component)
+            if record is not None and end in record.health.reported and not record.is_lost:
+                self.note_health(component, end, Health.OK, "its native link has ended")
 
     def _leave(self, component: int, user: str) -> bool:
         """Take a user of a component back; True when it was the last."""

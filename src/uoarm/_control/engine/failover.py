@@ -15,11 +15,11 @@ from uoarm._control.engine.leaving import (
     finish_if_asked,
 )
 from uoarm._control.engine.move import Move, MovePhase, MoveReason, forget_earlier
-from uoarm._control.engine.placement import ComponentRecord, Placement
+from uoarm._control.engine.placement import ComponentRecord, LinkEnd, Placement
 from uoarm._control.engine.state import ConnectionRecord, oldest_first
 from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ConnectionClosedError
-from uoarm.model import ConnectionState, Health, Plan
+from uoarm.model import ConnectionState, Health, Plan, Role
 
 # Between two searches of a connection that waits: an eighth of what it has waited, within these.
 _AGAIN_SECONDS = 0.1
@@ -47,7 +47,9 @@ def health_reported(draft: Draft, event: ev.HealthReported) -> None:
             continue
         if number in event.spared:
             continue
-        record = _note(draft, draft.components[number], event)
+        if _is_of_ended_link(draft, number, event):
+            continue
+        record = draft.note_health(number, event.part, event.health, event.cause)
         if event.health is Health.FINISHED:
             _finish(draft, record)
         elif is_lost:
@@ -88,14 +90,15 @@ def _judge_service(draft: Draft, name: str, event: ev.HealthReported) -> None:
         draft.avoided = draft.avoided.discard(name)
 
 
-def _note(draft: Draft, record: ComponentRecord, event: ev.HealthReported) -> ComponentRecord:
-    health = record.health.noted(event.part, event.health, event.cause)
-    if health.is_news(record.health, event.health, event.cause):
-        subject, function = f"component {record.name}", record.step.component.function
-        draft.do(act.Announce(subject, health.health.value, health.cause, function))
-    record = record._replace(health=health)
-    draft.components = draft.components.insert(record.id, record)
-    return record
+def _is_of_ended_link(draft: Draft, component: int, event: ev.HealthReported) -> bool:
+    """Say whether a report is of a native link that has ended: it would stand for ever."""
+    end = event.part
+    if not isinstance(end, LinkEnd) or event.health in {Health.FINISHED, Health.LOST}:
+        return False
+    name = draft.components[component].name
+    fed = (name, end.port) if end.role is Role.INPUT else (end.peer, end.peer_port)
+    joined = draft.edges.get(draft.feeding.get(fed, 0))
+    return joined is None or (component, end) not in joined.ends
 
 
 def _finish(draft: Draft, component: ComponentRecord) -> None:

@@ -42,16 +42,23 @@ class ComponentHealth:
 
     Attributes:
         health: the worst of all, and its `cause`; where it was just reported, the newest.
+        reported: of each part that is not well.
     """
 
     health: Health = Health.OK
     cause: str = ""
-    _reported: Mapping[Hashable, tuple[Health, str]] = field(factory=dict)
+    reported: Mapping[Hashable, tuple[Health, str]] = field(factory=dict)
 
     def noted(self, part: Hashable, health: Health, cause: str) -> ComponentHealth:
         """Return the health after a report about a part."""
-        reported = {**self._reported, part: (health, cause)}
-        worst = max(reported.values(), key=lambda item: _BETTER_TO_WORSE.index(item[0]))
+        reported = {name: value for name, value in self.reported.items() if name != part}
+        if health is not Health.OK:
+            reported[part] = health, cause
+        worst = max(
+            reported.values(),
+            key=lambda item: _BETTER_TO_WORSE.index(item[0]),
+            default=(Health.OK, cause),
+        )
         if worst[0] is health:
             worst = health, cause
         return evolve(self, health=worst[0], cause=worst[1], reported=reported)
@@ -188,6 +195,14 @@ class EdgeRecord(NamedTuple):
     @property
     def origin(self) -> tuple[str, str]:
         return self.edge.producer, self.edge.output
+
+    @property
+    def ends(self) -> tuple[tuple[int, LinkEnd], ...]:
+        """Both instances, each with its end of the native link that the edge may be."""
+        return (
+            (self.producer, LinkEnd(Role.OUTPUT, self.origin[1], *self.key)),
+            (self.consumer, LinkEnd(Role.INPUT, self.key[1], *self.origin)),
+        )
 
     def used_by(self, user: str, mode: ValidationMode | None) -> EdgeRecord:
         """Return the edge with a user that wishes this mode; None: it uses it no more."""
