@@ -7,7 +7,7 @@ import signal
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -331,6 +331,31 @@ class TestPresence:
             assert "gone" in event.cause
         for item in peers:
             item.close()
+
+    def test_one_that_a_broker_has_forgotten_and_does_not_come_back_is_lost(
+        self, tmp_path: Path
+    ) -> None:
+        with running(tmp_path / "broker") as broker, bridge_to(broker, grace=3600) as bridge:
+            events, link = health_events(bridge), vars(bridge)["_broker"]
+            with closing(Peer(broker)) as peer:
+                for name in ("alive", "dead"):
+                    peer.publish(f"{name}/there", "online", retain=True)
+                    bridge.describe(endpoint(name, presence={"topic": f"{name}/there"}))
+            broker.kill()
+            broker.start()  # which keeps nothing
+            wait(lambda: link._lapse_at is not None and link.breaks)
+            with closing(Peer(broker)) as peer:
+                peer.publish("alive/there", "online", retain=True)
+            link.barrier(patience())  # so this has come
+            link._lapse_at = 0.0
+            event = until(events, Health.LOST)
+            assert (event.component, event.cause) == (
+                "component of dead",
+                "dead/there says nothing",
+            )
+            bridge.describe(endpoint("alive", presence={"topic": "alive/there"}))
+            with pytest.raises(BridgeError, match="dead/there says nothing"):
+                bridge.describe(endpoint("dead", presence={"topic": "dead/there"}))
 
     def test_one_that_is_slow_to_be_read_holds_up_no_other(
         self, broker: Broker, peer: Peer, monkeypatch: pytest.MonkeyPatch

@@ -171,6 +171,19 @@ def test_a_vehicle_that_is_well_when_its_broker_is_back_is_reported_to_be(tmp_pa
         wait(lambda: [event.health for event in events if event.component][1:] == [Health.OK])
 
 
+def test_a_vehicle_that_is_gone_with_its_broker_is_lost(tmp_path: Path) -> None:
+    with running(tmp_path / "broker") as broker, bridge_to(broker, grace=3600) as bridge:
+        events, link = health_events(bridge), vars(bridge)["_broker"]
+        with driven(broker, "gone") as driver:
+            bridge.open_sink(endpoint("gone", "transport", "goal"), ANYTHING)
+            broker.kill()  # which publishes no last will, and keeps nothing
+            driver.vehicle.close()
+        broker.start()
+        wait(lambda: link._lapse_at is not None and link.breaks)
+        link._lapse_at = 0.0
+        assert until(events, Health.LOST).component == "gone"
+
+
 def test_a_component_that_opens_learns_that_its_vehicle_is_not_well(broker: Broker) -> None:
     with driven(broker, "unwell") as driver, bridge_to(broker) as bridge:
         events = health_events(bridge)

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Literal
+from typing import Any, Literal
 
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import MessageState, MQTTErrorCode
@@ -69,6 +69,7 @@ class BrokerClient(ThreadedClient):
     """paho's client, whose thread does not end without a word."""
 
     when_ended: Callable[[Exception | None], None]
+    when_turned: Callable[[], None]  # at least once a second, while it is connected
     is_answered: bool  # whether the broker answered the attempt that was begun last
     most_octets: int  # of a packet, as the broker was asked
     _broken_by: OSError | None
@@ -116,7 +117,10 @@ class BrokerClient(ThreadedClient):
                 waker.recv(10_000)
         if not rc and self._sock and (waker in ready or ready.get(link, 0) & selectors.EVENT_WRITE):
             rc = self.loop_write()
-        return rc if rc or self._sock is None else self.loop_misc()
+        if rc or self._sock is None:
+            return rc
+        self.when_turned()
+        return self.loop_misc()
 
     def show(self, credentials: BrokerCredentials) -> None:
         """Show the broker these from the next connection on."""
@@ -247,3 +251,11 @@ def reason_text(reason: ReasonCode) -> str:
     """Return a reason code of the broker, or of paho, in words and as a number."""
     name = next(iter(reason.names.get(reason.value, {"for a reason without a name": ()})))
     return f"{name} (reason code 0x{reason.value:02X})"
+
+
+def properties(packet: str, **values: Any) -> Properties:
+    """Return properties of MQTT 5 for a packet."""
+    made = Properties(getattr(PacketTypes, packet))  # type: ignore[no-untyped-call]
+    for name, value in values.items():
+        setattr(made, name, value)
+    return made

@@ -51,15 +51,19 @@ class PresenceStatus:
 
 
 class RetainedTopic:
-    """The last message of one topic, kept up to date until the connection is closed."""
+    """The last message of one topic, kept up to date until the connection is closed.
+
+    With `changed`, which takes each, it lapses where it is not said again after a break.
+    """
 
     def __init__(
-        self, link: BrokerConnection, topic: str, changed: Callable[[bytes], None]
+        self, link: BrokerConnection, topic: str, changed: Callable[[bytes], None] | None
     ) -> None:
         self.payload = b""
         self._changed = changed
         self._came = threading.Event()
-        self._link, self._receiver = link, Receiver(topic, self._take, retained=True)
+        self._link = link
+        self._receiver = Receiver(topic, self._take, retained=True, lapses=changed is not None)
         # Held until what is retained has come, so that no caller reads a topic that is only being
         # opened, and callers in several threads open it once.
         self._opening = threading.Lock()
@@ -77,7 +81,8 @@ class RetainedTopic:
 
     def _take(self, incoming: ReceivedMessage) -> None:
         self.payload = incoming.payload
-        self._changed(incoming.payload)
+        if self._changed is not None:
+            self._changed(incoming.payload)
         self._came.set()
 
 
@@ -120,9 +125,9 @@ class Components:
 
     def retained(self, topic: str) -> bytes:
         """Return what is retained on a topic now, nothing where nothing is."""
-        return self._read(topic, topic, lambda _: None)
+        return self._read(topic, topic, None)
 
-    def _read(self, key: object, topic: str, changed: Callable[[bytes], None]) -> bytes:
+    def _read(self, key: object, topic: str, changed: Callable[[bytes], None] | None) -> bytes:
         watched = self._watched.get(key)
         if watched is None:  # of several callers at once, all get the same one
             made = RetainedTopic(self._link, topic, changed)

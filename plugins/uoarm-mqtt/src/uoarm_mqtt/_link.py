@@ -16,7 +16,6 @@ from weakref import WeakSet
 from attrs import define, field, frozen
 from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
-from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
@@ -34,7 +33,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health
-from uoarm_mqtt._client import MOST_IN_FLIGHT, BrokerClient, reason_text
+from uoarm_mqtt._client import MOST_IN_FLIGHT, BrokerClient, properties, reason_text
 from uoarm_mqtt._options import ConnectionOptions
 from uoarm_mqtt._subscriptions import ReceivedMessage, Receiver, Subscriptions
 
@@ -108,6 +107,8 @@ class BrokerConnection:
     _largest: int | None = None  # octets of a packet that the broker takes
     _most_qos: int = 2  # that it takes
     _may_retain: bool = True
+    # When what stood before a break lapses; touched by paho's thread only.
+    _lapse_at: float | None = None
     # Guards all that is mutable here: callers in any thread, against paho's.
     _changed: threading.Condition = field(factory=threading.Condition, init=False)
     _subscriptions: Subscriptions = field(factory=Subscriptions, init=False)
@@ -130,7 +131,7 @@ class BrokerConnection:
         )
         client.connect_timeout = _CONNECT_SECONDS
         client.reconnect_delay_set(_BACKOFF.first, _BACKOFF.most)  # type: ignore[arg-type]
-        client.when_ended = self._on_ended
+        client.when_ended, client.when_turned = self._on_ended, self._lapse
         client.most_octets = options.budget.octets + _ROOM_FOR_TOPIC
         client.on_socket_open = _prepare
         client.on_connect = self._on_connect
@@ -474,6 +475,8 @@ class BrokerConnection:
         left = len(receivers) + len(leaving)
 
         def ready() -> None:
+            # What is retained may come after the answers.
+            self._lapse_at = time.monotonic() + max(self.options.grace, _STEP_SECONDS)
             with self._changed:
                 self._up, self._cause = True, ""
                 self._changed.notify_all()
@@ -545,13 +548,28 @@ class BrokerConnection:
         with self._changed:
             receivers = self._subscriptions.route(came)
         for receiver in receivers:
-            try:
-                foreign(receiver.give, came)
-            except Exception as error:  # noqa: BLE001 - a message of one topic ends no other
-                text = f"{self.name}: a message on {came.topic} was not taken"
-                self._records.write(logging.ERROR, text, error)
+            self._give(receiver, came)
+
+    def _give(self, receiver: Receiver, came: ReceivedMessage) -> None:
+        try:
+            foreign(receiver.give, came)
+        except Exception as error:  # noqa: BLE001 - a message of one topic ends no other
+            text = f"{self.name}: a message on {came.topic} was not taken"
+            self._records.write(logging.ERROR, text, error)
+
+    def _lapse(self) -> None:
+        """End what stood before a break and was not said again; in the thread of messages."""
+        if self._lapse_at is None or time.monotonic() < self._lapse_at:
+            return
+        self._lapse_at = None
+        with self._changed:
+            lapsed = [(receiver, receiver.lapsed()) for receiver in self._subscriptions]
+        for receiver, topics in lapsed:
+            for topic in topics:
+                self._give(receiver, ReceivedMessage(topic, b""))
 
     def _down(self, cause: str, *, final: bool = False) -> None:
+        self._lapse_at = None
         with self._changed:
             was_up, self._up = self._up, False
             if was_up or not self._cause:  # paho reports a refusal a second time, in other words
@@ -567,14 +585,6 @@ class BrokerConnection:
             self.report(health, f"the broker at {self._where}: {cause}")
         if is_over:
             self._client.disconnect()  # ends the thread, and the attempts
-
-
-def properties(packet: str, **values: Any) -> Properties:
-    """Return properties of MQTT 5 for a packet."""
-    made = Properties(getattr(PacketTypes, packet))  # type: ignore[no-untyped-call]
-    for name, value in values.items():
-        setattr(made, name, value)
-    return made
 
 
 def _prepare(client: Client, user: Any, opened: Any) -> None:

@@ -39,6 +39,8 @@ class Receiver:
         give: takes each message, in the thread of the network: must return at once.
         retained: whether the last message of each topic is wanted first.
         refused: takes why the broker does not subscribe it again after a break.
+        lapses: whether what stood on a topic ends, as an empty payload says, where it is not said
+            again within `grace` after a break: a broker may have forgotten it with its writer gone.
         id: of the subscription made for this receiver.
     """
 
@@ -47,17 +49,31 @@ class Receiver:
     qos: int = 1
     retained: bool = False
     refused: Callable[[str], None] = lambda _: None
+    lapses: bool = False
     id: int = field(default=0, init=False)
     _last: dict[str, int] = field(factory=dict, init=False)  # hash of each topic's last payload
+    _unsaid: set[str] = field(factory=set, init=False)  # topics of it, since the last break
 
     def is_new(self, message: ReceivedMessage) -> bool:
         """Note what stands on a topic; False where it is said once more, as after a break."""
         mark = hash(message.payload)
+        self._unsaid.discard(message.topic)
         before = self._last.pop(message.topic, None)
         self._last[message.topic] = mark
         if len(self._last) > _KNOWN_TOPICS:
             del self._last[next(iter(self._last))]
         return not message.retain or mark != before
+
+    def begin_again(self) -> None:
+        """Note that what stands is said again from now on, where it still does."""
+        self._unsaid = set(self._last) if self.lapses else set()
+
+    def lapsed(self) -> list[str]:
+        """Return once the topics of which nothing was said since."""
+        topics, self._unsaid = sorted(self._unsaid), set()
+        for topic in topics:
+            self._last.pop(topic, None)
+        return topics
 
 
 class Subscriptions:
@@ -126,6 +142,8 @@ class Subscriptions:
         """
         if not is_same:
             self._leaving.clear()
+        for receiver in self:
+            receiver.begin_again()
         return list(self._leaving.items())
 
     def route(self, message: ReceivedMessage) -> list[Receiver]:

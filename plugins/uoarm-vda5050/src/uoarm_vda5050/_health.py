@@ -69,7 +69,8 @@ class Presence:
             topic="connection",
             check=check_of(body.schema, "connection"),
         )
-        self._receiver = Receiver(f"{prefix}/+/+/connection", self._take, retained=True)
+        topics = f"{prefix}/+/+/connection"
+        self._receiver = Receiver(topics, self._take, retained=True, lapses=True)
         # Held while the subscription is made, so that a second caller waits for the first one's.
         self._opening = threading.Lock()
         self._is_open = False
