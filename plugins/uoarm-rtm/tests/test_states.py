@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from _uoarm_rtm_stubs import OpenRTM
+from _uoarm_rtm_stubs import OpenRTM, SDOPackage
 from endpoints import ANSWERS, Make, Start, endpoint, of, sink, source, stamped
 from tests.inbox import Inbox  # type: ignore[import-not-found]
+from uoarm_rtm import _port_servant, _servants
 from uoarm_rtm._orb import calls
+from uoarm_rtm._peer import pairs
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge, Channel, Sink
@@ -175,3 +177,26 @@ def test_what_a_port_of_ours_does_not_take_is_reported(make_bridge: Make) -> Non
     assert events.event(Health.OK, "is active again").channel is channel
     into.send(stamped(3))
     assert [message["data"] for message in got.messages] == [1, 3]
+
+
+def test_what_others_make_at_our_component_is_bounded(
+    make_bridge: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_port_servant, "_MOST_CONNECTORS", 2)
+    monkeypatch.setattr(_servants, "_MOST_VALUES", 2)
+    ours, theirs = make_bridge(), make_bridge("other")
+    source(ours, endpoint(Role.OUTPUT, "self", "numbers", "TimedLong"), Collector())
+    at = endpoint(Role.INPUT, "uoarm_rtm.rtc", "numbers")
+    first, _ = sink(theirs, at), sink(theirs, at)
+    with pytest.raises(BridgeError, match="refuses to connect: OUT_OF_RESOURCES"):
+        sink(theirs, at)
+    first.close()
+    sink(theirs, at).send(stamped(1))
+    configuration = vars(ours)["_own"].component.get_configuration()
+    with calls:
+        for name in "ab":
+            given = SDOPackage.ConfigurationSet("default", "", pairs({name: "1"}))
+            configuration.set_configuration_set_values(given)
+        more = SDOPackage.ConfigurationSet("default", "", pairs({"c": "1"}))
+        with pytest.raises(SDOPackage.InvalidParameter):
+            configuration.set_configuration_set_values(more)

@@ -30,6 +30,7 @@ from uoarm_rtm._shape import BIG, LITTLE
 _ORDERS: dict[str, ByteOrder] = {"little": LITTLE, "big": BIG}
 _SUBSCRIPTIONS = ("flush", "new", "periodic")
 _DEFAULT_HZ = 10.0
+_MOST_CONNECTORS = 256  # of a port: each may have a thread, and a buffer
 
 
 class ConnectorRefusal(Exception):  # noqa: N818 - an answer, not a failure of ours
@@ -207,6 +208,9 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
             is_known = identifier in self._profiles or identifier in self._making
             if is_known or self._is_closed:
                 return RTC.PRECONDITION_NOT_MET, profile
+            if len(self._profiles) + len(self._making) >= _MOST_CONNECTORS:
+                _log.warning("port %s has %d connectors: no more", self.name, _MOST_CONNECTORS)
+                return RTC.OUT_OF_RESOURCES, profile
             self._making[identifier] = profile
         try:
             self._publish(profile)

@@ -235,6 +235,7 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
 
 
 _MOST_SETS = 100
+_MOST_VALUES = 1000  # of a set
 
 
 class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]  # generated
@@ -302,7 +303,7 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
                 text = f"there is no configuration set {configuration_set.id!r}"
                 raise SDOPackage.InvalidParameter(text)
             values = properties_of(configuration_set.configuration_data)
-            self._sets[configuration_set.id].update(values)
+            self._sets[configuration_set.id] = _bounded(self._sets[configuration_set.id], values)
             in_force = configuration_set.id == self._active
         if in_force:
             self._notify()
@@ -314,7 +315,7 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
             if configuration_set.id in self._sets or len(self._sets) >= _MOST_SETS:
                 raise SDOPackage.InvalidParameter("it is there already, or there are too many")
             values = properties_of(configuration_set.configuration_data)
-            self._sets[configuration_set.id] = values
+            self._sets[configuration_set.id] = _bounded({}, values)
         return True
 
     def remove_configuration_set(self, config_id: str) -> bool:
@@ -341,3 +342,11 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
             with self._lock:
                 values = dict(self._sets[self._active])
             self._changed(values)
+
+
+def _bounded(before: Mapping[str, str], values: Mapping[str, str]) -> dict[str, str]:
+    """Return values with those before, or raise InvalidParameter where they are too many."""
+    after = {**before, **values}
+    if len(after) > _MOST_VALUES:
+        raise SDOPackage.InvalidParameter(f"a set has {_MOST_VALUES} values at most")
+    return after
