@@ -31,18 +31,29 @@ test("each problem has its path", () => {
   ]);
 });
 
-test("integers beyond 53 bits keep their digits where the schema takes strings", () => {
+test("integers beyond 53 bits keep their digits", () => {
   const wide = { anyOf: [{ type: "integer" }, { type: "string", pattern: "^-?(0|[1-9][0-9]*)$" }] };
   assert.equal(whole(wide, "9007199254740993").value, "9007199254740993");
   assert.equal(whole(wide, "12").value, 12);
   assert.equal(whole(wide, "1.5").problems.length, 1);
+  const whole64 = { type: "integer", maximum: 2 ** 63 };
+  assert.equal(whole(whole64, "-0009007199254740993").value, "-9007199254740993");
+  assert.equal(whole(whole64, "9223372036854779999").problems.length, 1);
 });
 
 test("a number that may be no number can be named", () => {
   const free = { anyOf: [{ type: "number" }, { enum: ["NaN", "Infinity", "-Infinity"] }] };
   assert.equal(whole(free, "NaN").value, "NaN");
   assert.equal(whole(free, "2").value, 2);
-  assert.equal(whole({ type: "number" }, "NaN").problems.length, 1);
+  for (const text of ["NaN", "Infinity", "-1e999"]) assert.equal(whole({ type: "number" }, text).problems.length, 1);
+});
+
+test("a field may have the name of what every object has", () => {
+  const field = { type: "string" };
+  const schema = { type: "object", properties: { constructor: field, toString: field }, required: ["constructor", "valueOf"] };
+  assert.deepEqual(Object.entries(start(schema, schema)), [["constructor", ""]]);
+  assert.deepEqual(whole(schema, {}), { value: {}, problems: [] });
+  assert.deepEqual(Object.entries(whole(schema, { toString: "a" }).value), [["toString", "a"]]);
 });
 
 test("references are followed, and those in a circle end", () => {

@@ -1,7 +1,7 @@
 // A form generated from a JSON Schema; what it holds is a draft, see schema.js.
 
 import { useMemo } from "../vendor/htm-preact.js";
-import { nameOf, nodeOf, start } from "./schema.js";
+import { isThere, nameOf, nodeOf, start } from "./schema.js";
 import { html, Icon } from "./ui.js";
 
 /** Args: the schema and its root, the draft, change(draft), problems by path. */
@@ -71,8 +71,8 @@ function readFile(file, change) {
 }
 
 function Fields({ node, root, draft, change, problems, path }) {
-  const there = Object.keys(node.fields).filter((name) => draft[name] !== undefined);
-  const absent = Object.keys(node.fields).filter((name) => draft[name] === undefined);
+  const there = Object.keys(node.fields).filter((name) => isThere(draft, name));
+  const absent = Object.keys(node.fields).filter((name) => !isThere(draft, name));
   const set = (name, value) => change({ ...draft, [name]: value });
   return html`
     ${there.map((name) => html`

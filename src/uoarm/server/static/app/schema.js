@@ -35,7 +35,7 @@ function follow(schema, root) {
 
 function ofBranches(branches, root, depth) {
   const [first, second] = branches;
-  if (branches.length === 2 && second?.pattern === WIDE) return { ...ofType(first), wide: true };
+  if (branches.length === 2 && second?.pattern === WIDE) return ofType(first);
   if (branches.length === 2 && second?.enum?.[0] === "NaN") {
     return { ...nodeOf(first, root, depth + 1), names: NAMES };
   }
@@ -81,7 +81,7 @@ export function start(schema, root, depth = 0) {
   switch (node.kind) {
     case "object":
       return Object.fromEntries(
-        node.required.filter((name) => name in node.fields)
+        node.required.filter((name) => Object.hasOwn(node.fields, name))
           .map((name) => [name, start(node.fields[name], root, depth + 1)]));
     case "list":
       return Array.from({ length: Math.min(node.least, 100) }, () => start(node.items, root, depth + 1));
@@ -98,6 +98,9 @@ export function start(schema, root, depth = 0) {
   }
 }
 
+/** Whether a draft has a field, also one with the name of what every object has. */
+export const isThere = (draft, name) => Object.hasOwn(draft, name) && draft[name] !== undefined;
+
 /** { value, problems: [{ path, text }] } of a draft. */
 export function gather(schema, root, draft, path = "") {
   const problems = [];
@@ -111,7 +114,7 @@ function read(schema, root, draft, path, problems) {
   const inner = (schema, its, name) => read(schema, root, its, path ? `${path}.${name}` : name, problems);
   switch (node.kind) {
     case "object": {
-      const there = Object.keys(node.fields).filter((name) => draft[name] !== undefined);
+      const there = Object.keys(node.fields).filter((name) => isThere(draft, name));
       return Object.fromEntries(there.map((name) => [name, inner(node.fields[name], draft[name], name)]));
     }
     case "list":
@@ -146,13 +149,13 @@ function read(schema, root, draft, path, problems) {
 function readNumber(node, text, wrong) {
   if (node.names?.includes(text)) return text;
   const value = Number(text);
-  if (text === "" || Number.isNaN(value)) return wrong(text ? `${text} is no number` : "a number is missing");
+  if (text === "" || !Number.isFinite(value)) return wrong(text ? `${text} is no number` : "a number is missing");
   if (node.kind === "integer" && !INTEGER.test(text)) return wrong("must be a whole number");
   if (value < node.minimum) wrong(`at least ${node.minimum}`);
   if (value > node.maximum) wrong(`at most ${node.maximum}`);
   if (value <= node.exclusiveMinimum) wrong(`more than ${node.exclusiveMinimum}`);
   if (value >= node.exclusiveMaximum) wrong(`less than ${node.exclusiveMaximum}`);
-  return node.kind === "integer" && node.wide && !Number.isSafeInteger(value) ? text : value;
+  return node.kind === "integer" && !Number.isSafeInteger(value) ? String(BigInt(text)) : value; // its digits, as the protocol has it
 }
 
 function matches(pattern, text) {
