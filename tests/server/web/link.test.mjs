@@ -130,6 +130,13 @@ test("a limit that no timer can have is none", async (context) => {
   robot.close();
 });
 
+test("a limit is named in three figures: the rest of one is seldom round", async (context) => {
+  context.mock.timers.enable({ apis: ["setTimeout"] });
+  const connecting = connect("ws://x/", { WebSocket: Socket, timeout: 10 / 3 });
+  context.mock.timers.tick(4000);
+  await assert.rejects(connecting, { code: "closed", message: "ws://x/: no answer within 3.33 s" });
+});
+
 test("what is no URL is an error of ours, without the token", async () => {
   class Refusing {
     constructor(url) {

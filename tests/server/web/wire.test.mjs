@@ -88,6 +88,22 @@ test("a connection over which nothing comes any more is given up, whatever the n
   assert.equal(Socket.made.length, before + 1);
 });
 
+test("a server that takes a connection and says nothing is left, and tried again", async (context) => {
+  context.mock.timers.enable({ apis: ["setTimeout"] });
+  const { received, socket } = open();
+  context.mock.timers.tick(10_000);
+  assert.ok(socket.isClosed);
+  assert.deepEqual(received, [["link", "closed"]]);
+  await new Promise(setImmediate);
+  context.mock.timers.tick(500);
+  const second = Socket.made.at(-1);
+  assert.notEqual(second, socket);
+  second.deliver({ op: "Status", type: "hello", jsonMessage: {} });
+  context.mock.timers.tick(60_000);
+  assert.equal(Socket.made.at(-1), second);
+  assert.ok(!second.isClosed);
+});
+
 test("a server that wants a token is not asked again without one", async () => {
   const { wire, received, socket } = open({ isLocked: async (token) => token === "" });
   socket.onclose();

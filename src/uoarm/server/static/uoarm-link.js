@@ -240,7 +240,7 @@ export class Link {
         socket.close();
         reject(error);
       };
-      const late = later(() => fail(new UoarmError("closed", `no answer within ${timeout} s`)), timeout);
+      const late = later(() => fail(new UoarmError("closed", `no answer within ${Number(timeout.toPrecision(3))} s`)), timeout);
       const greeted = () => {
         state = "greeted";
         clearTimeout(late);

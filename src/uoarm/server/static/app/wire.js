@@ -3,6 +3,7 @@
 const FORM = "uoarm.v1.json";
 const FIRST_WAIT = 500;
 const LONGEST_WAIT = 8000;
+const OPENING = 10_000; // until the server says hello: a browser waits for minutes
 const MOST_SILENCE = 20; // looks without a message, after which the connection is given up
 
 /** An answer that says no. `code` is for programs, `message` for people. */
@@ -40,6 +41,9 @@ export class Wire {
     this.silence = 0;
     link.onmessage = (event) => this.#read(JSON.parse(event.data));
     link.onclose = () => link === this.link && this.#closed();
+    clearTimeout(this.opening);
+    this.opening = setTimeout(() => this.#giveUp(), OPENING);
+    this.opening.unref?.(); // in Node.js: it keeps no test running
   }
 
   /** Resolves to the reply's message; rejects with a Refusal. */
@@ -61,7 +65,10 @@ export class Wire {
   look() {
     this.silence += 1;
     if (this.silence <= MOST_SILENCE) return;
-    this.silence = 0;
+    this.#giveUp();
+  }
+
+  #giveUp() {
     this.link.onclose = this.link.onmessage = null;
     this.link.close();
     this.#closed();
@@ -75,6 +82,7 @@ export class Wire {
     else if (op === "Error" && asker) asker.reject(new Refusal(jsonMessage));
     else {
       if (op === "Status" && type === "hello") {
+        clearTimeout(this.opening);
         this.wait = FIRST_WAIT;
         this.receive("link", "open", jsonMessage);
       }
@@ -83,6 +91,7 @@ export class Wire {
   }
 
   async #closed() {
+    clearTimeout(this.opening);
     for (const { reject } of this.asked.values()) {
       reject(new Refusal({ code: "closed", text: "the connection to the server broke" }));
     }
