@@ -19,7 +19,16 @@ from uoarm._parts import ApplicationPorts
 from uoarm.bridge import BridgeType, Delivery, Registry, Source
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, ConnectionClosedError, UsageError
-from uoarm.model import Deliver, Effect, Endpoint, MessageStructure, Options, StopOutcome
+from uoarm.model import (
+    Deliver,
+    Effect,
+    Endpoint,
+    Health,
+    MessageStructure,
+    Options,
+    StatusEvent,
+    StopOutcome,
+)
 from uoarm.testing import Background, Emitter, MemoryBridge, patience, wait
 
 NUMBER = {"type": "integer"}
@@ -249,6 +258,26 @@ def test_a_bridge_with_other_options_is_another_one(
         wait(lambda: before.closed)
         assert camera.gaps == ()
     assert after.closed
+
+
+def test_a_bridge_that_was_not_well_is_so_no_more_where_the_configuration_has_another(
+    registry: Registry, made: list[MemoryBridge]
+) -> None:
+    other = ROBOT.replace("two: {plugin: memory}", "two: {plugin: memory, options: {level: 2}}")
+    with RobotManager(loads(ROBOT), registry=registry) as robot:
+        changes: list[StatusEvent] = []
+        robot.listen(changes.append)
+        robot.request("lamp")
+        (before,) = (bridge for bridge in made if bridge.name == "two")
+        before.report(Health.DEGRADED, "the cable is loose")
+        robot.apply(loads(other))
+
+        def of_bridge() -> list[str]:
+            return [event.change for event in changes if event.subject == "bridge two"]
+
+        wait(lambda: len(of_bridge()) > 1, lambda: str(changes))
+        assert of_bridge() == ["degraded", "ok"]
+        assert {bridge.health for bridge in robot.status().bridges} == {Health.OK}
 
 
 class Robots(MemoryBridge):

@@ -282,8 +282,10 @@ class BridgeSet:
             before, self._specs = self._specs, staged.specs
             names = {*before, *staged.specs}
             changed = {text for text in names if before.get(text) != staged.specs.get(text)}
+            unwell = []
             for name in changed:
-                self._health.pop(name, None)
+                if self._health.pop(name, _FINE)[0] is not Health.OK:
+                    unwell.append(name)
                 replaced = self._bridges.pop(name, None)
                 if replaced is not None:
                     replaced.watch(None)
@@ -291,6 +293,8 @@ class BridgeSet:
                 new = staged.made.pop(name, None)
                 if new is not None:
                     self._bridges[name] = new
+        for name in unwell:  # which no other bridge would say; before what the next one says
+            self._listener(HealthEvent(name, Health.OK, "the configuration has another"))
         for name in changed & self._bridges.keys():
             self._watch(name, self._bridges[name])
         self.machines.adopt(staged.joining, frozenset(changed))
