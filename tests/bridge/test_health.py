@@ -186,6 +186,17 @@ def test_with_the_last_of_optional_peers_goes_what_was_wrong_with_it() -> None:
     assert said(report) == (Health.OK, "/a: no peer is connected, and none need be")
 
 
+def test_a_silence_ends_where_messages_are_waited_for_longer() -> None:
+    health = ChannelHealth("/a", 0.0, stale_after=1.0, recovers=True)
+    health.connected(0.0)
+    assert said(health.tick(2.0)) == (Health.LOST, "silent: /a: no message for 1 s")
+    assert health.expect(2.0, 1.0) is None
+    assert said(health.expect(2.0, 1.5)) == (Health.LOST, "silent: /a: no message for 1.5 s")
+    assert said(health.expect(2.0, None)) == (Health.OK, "/a: it may be silent for longer")
+    assert health.tick(100.0) is None
+    assert said(health.expect(100.0, 5.0))[0] is Health.LOST
+
+
 def test_a_loss_may_be_temporary() -> None:
     health = ChannelHealth("/a", 0.0, stale_after=1.0, recovers=True)
     health.connected(0.0)

@@ -153,7 +153,7 @@ class ChannelHealth:
             `stale_after` is known.
 
     Attributes:
-        stale_after: may change, as where peers promise how often they send.
+        stale_after: as `expect` has it, where peers promise how often they send.
         status: how it is now.
         peers: that are connected.
         messages: that passed.
@@ -266,6 +266,17 @@ class ChannelHealth:
         if health is Health.OK:
             return self._mended(now, cause, (reason, about))
         return self._fault(now, health, (reason, about), cause)
+
+    def expect(self, now: float, stale_after: float | None) -> ChannelReport | None:
+        """Messages are waited for so long from now on; None: for ever. A silence is judged anew."""
+        if stale_after == self.stale_after:
+            return None
+        self.stale_after = stale_after
+        self._faults.pop(_SILENT, None)
+        silence = self._silence(now, "")
+        if silence is not None:
+            return self._fault(now, silence.health, _SILENT, silence.cause)
+        return self._changed(now, f"{self._what}: it may be silent for longer")
 
     def tick(self, now: float, note: str = "") -> ChannelReport | None:
         """Time has passed; what follows from it alone is reported. `note` ends the words on it."""
@@ -473,8 +484,7 @@ class ChannelMonitor:
 
     def expect(self, stale_after: float | None) -> None:
         """Have it lost after so many seconds without a message from now on; None: never."""
-        with self._lock:
-            self._health.stale_after = stale_after
+        self._judge(self._health.expect, stale_after)
 
     def wake_at(self) -> float | None:
         """Return the time until which no `tick` has news; see `ChannelHealth.wake_at`."""
