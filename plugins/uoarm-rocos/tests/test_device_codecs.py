@@ -206,6 +206,24 @@ def test_the_monitors_header_is_read() -> None:
     assert (got["serialNumber"], got["battery"]) == ("5060200123", 42)
 
 
+@pytest.mark.parametrize(
+    "measured",
+    [
+        (2026, 13, 1, 0, 0, 0),
+        (2026, 2, 30, 0, 0, 0),
+        (2026, 1, 1, 24, 0, 0),
+        (2026, 1, 1, 200, 200, 200),
+        (65535, 1, 1, 0, 0, 0),
+    ],
+    ids=str,
+)
+def test_a_time_that_is_none_is_left_out(measured: tuple[int, int, int, int, int, int]) -> None:
+    (got,) = Ua767Decoder().feed(ua767_frame(Measurement(120, 80, 93, 60, measured)))
+    assert isinstance(got, dict)
+    assert got["systolic"] == 120
+    assert "measured" not in got
+
+
 @pytest.mark.parametrize("payload", [b"811D4C4152", b"80XX4C4152", b"          ", b"801D4C415\x00"])
 def test_a_payload_that_is_no_measurement_is_an_error(payload: bytes) -> None:
     (got,) = Ua767Decoder().feed(HEADER + payload)

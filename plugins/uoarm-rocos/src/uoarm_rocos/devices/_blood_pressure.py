@@ -12,6 +12,8 @@ import re
 import struct
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime
 from typing import Any
 
 from attrs import frozen
@@ -105,11 +107,10 @@ def _read(frame: bytes) -> dict[str, Any] | WireError:
         "pulse": pulse,
         "battery": frame[_BATTERY],
     }
-    year, month, day, hour, minute, second = _TIME.unpack_from(frame, _MEASURED)
-    if year >= _LEAST_YEAR and month and day:  # the monitor's clock has been set
-        reading["measured"] = f"{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}"[
-            :19
-        ]
+    year, *others = _TIME.unpack_from(frame, _MEASURED)
+    if year >= _LEAST_YEAR:  # the monitor's clock has been set
+        with suppress(ValueError):  # octets that are no time
+            reading["measured"] = datetime(year, *others).isoformat()  # noqa: DTZ001 - it has none
     serial = frame[_SERIAL].rstrip(b"\x00 ")
     if serial and serial.isascii() and serial.decode("ascii").isprintable():
         reading["serialNumber"] = serial.decode("ascii")
