@@ -265,7 +265,8 @@ def test_a_strange_name_for_this_machine_is_refused(serve: Serve, host: str) -> 
     from tests.server.test_serving import page
 
     server = serve()
-    assert page(server, "/healthz", Host=host)[0] == 403
+    status, text = page(server, "/healthz", Host=host)
+    assert (status, "--allow-host lets another name in" in text) == (403, True)
     assert page(server, "/healthz", Host="localhost")[0] == 200
     assert page(serve(hosts=("robot",)), "/healthz", Host="robot:1")[0] == 200
 

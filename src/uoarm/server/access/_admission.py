@@ -260,7 +260,10 @@ class Admission:
         """
         host, origin = head.host, head.origin
         if self._local and not self._is_ours(host):
-            raise RefusedError(HTTPStatus.FORBIDDEN, f"Host {host[:100]!r} is not this server")
+            raise RefusedError(
+                HTTPStatus.FORBIDDEN,
+                f"Host {host[:100]!r} is not this server; --allow-host lets another name in",
+            )
         if origin is None or "*" in self._origins or origin in self._origins:
             return
         if origin.partition("://")[2] != host or not host:
