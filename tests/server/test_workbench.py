@@ -169,6 +169,15 @@ class TestSenses:
         browser.until("location.hash.includes('fields=turn%2Cstill')")
         assert browser.js("document.querySelector('.plot canvas').clientWidth") > 300
 
+    def test_the_rate_of_a_port_has_three_figures_at_most(
+        self, browser: Browser, visit: Visit, robot: RobotManager, senses: Senses
+    ) -> None:
+        with robot.request("speed"):
+            for _ in range(9):
+                senses.of["speed"].emit({"forward": 1.0, "turn": 0.0, "still": 0.0})
+            visit("#/configuration")
+            browser.until(says(".found", "output speed, 0 a second, used by speed"))
+
     def test_boxes_of_another_function_lie_over_a_picture(
         self, browser: Browser, visit: Visit, senses: Senses, robot: RobotManager
     ) -> None:

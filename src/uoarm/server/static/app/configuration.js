@@ -2,7 +2,7 @@
 
 import { useEffect, useMemo, useRef, useState } from "../vendor/htm-preact.js";
 import { Difference, TextEditor } from "./editor.js";
-import { noun } from "./format.js";
+import { noun, short } from "./format.js";
 import { Facts, Framework, html, Notice } from "./ui.js";
 import { problemsOf } from "./yaml.js";
 
@@ -91,7 +91,7 @@ function Bridge({ of, take, untaken }) {
           <span class="hidden"> ${component.name} as a function</span></button>`}
         ${untaken?.component === component.name && html`<${Notice} kind="bad" title="Not added">${untaken.cause}</${Notice}>`}
         <ul>${component.ports.map((port) => html`<li key=${`${port.role} ${port.address.join(" ")}`}>${port.role} ${port.address.join(", ")}
-          ${!port.known && " (structure unknown)"}${port.rate !== null && `, ${port.rate.toPrecision(3)} a second${port.measured ? "" : ", as stated"}`}${port.used_by.length > 0 && `, used by ${port.used_by.join(", ")}`}</li>`)}</ul>
+          ${!port.known && " (structure unknown)"}${port.rate !== null && `, ${short(port.rate)} a second${port.measured ? "" : ", as stated"}`}${port.used_by.length > 0 && `, used by ${port.used_by.join(", ")}`}</li>`)}</ul>
         ${component.more > 0 && html`<p>and ${component.more} ports more</p>`}</li>`)}</ul>
       ${of.more > 0 && html`<p>and ${of.more} components more</p>`}
       ${of.left_out > 0 && html`<p>and ${of.left_out} ports beyond the limit</p>`}
