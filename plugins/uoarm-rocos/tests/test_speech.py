@@ -66,6 +66,17 @@ def test_text_becomes_sound_in_a_file_where_there_is_no_audio_device(
         )
 
 
+def test_a_text_is_said_to_its_end_or_refused() -> None:
+    with bridged(voice={"driver": "espeak", "play": "never"}) as (bridge, _):
+        durations = [
+            bridge.call(SAY, {"text": text}, timeout=LIMIT)["duration"]
+            for text in ("One two three four.", "One two\0three four.")
+        ]
+        assert durations[1] == pytest.approx(durations[0], rel=0.1)
+        with pytest.raises(MessageError, match=r"speechGeneration\.text: .*surrogates"):
+            bridge.call(SAY, {"text": "half of a pair: \ud83d"})
+
+
 def test_files_without_a_directory_go_with_the_bridge() -> None:
     with bridged(voice={"driver": "espeak", "play": "never"}) as (bridge, _):
         file = Path(bridge.call(SAY, {"text": "Hello."})["file"])

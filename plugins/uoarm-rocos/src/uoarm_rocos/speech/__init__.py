@@ -20,7 +20,7 @@ from typing import Any
 from attrs import frozen
 
 from uoarm.bridge import at_exit, install_command
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm_rocos._catalogue import (
     Api,
     ApiKind,
@@ -315,13 +315,18 @@ class Speech(Device):
         """Say a text; the answer comes when it has been said, or written to a file."""
         end = time.monotonic() + timeout
         asked = fit_given(api.input, message, f"request to {api.name}")
+        text = asked["text"].replace("\0", " ")  # at which engines end
+        try:
+            text.encode()
+        except UnicodeEncodeError as error:
+            raise MessageError(f"request to {api.name}.text: {error}") from error
         if not self._speaking.acquire(timeout=timeout):
             raise BridgeTimeoutError(f"{self._name} was still speaking after {timeout:g} s")
         try:
             self._check_open()
             left = max(0.0, end - time.monotonic())  # a lock takes no negative one
             voice, rate = asked.get("voice", self._voice), asked.get("rate", 1.0)
-            sound = self._engine.speak(asked["text"], voice, rate, left)
+            sound = self._engine.speak(text, voice, rate, left)
             self._check_open()
             if len(sound.samples) > _MOST_AUDIO - 100:
                 raise BridgeError(f"the sound of {sound.duration:.0f} s is too long for a message")
