@@ -63,6 +63,20 @@ def test_an_experiment_ends_in_silence(shared: str) -> None:
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
 
 
+def test_the_loops_of_an_experiment_end_with_their_input_alone() -> None:
+    command = [sys.executable, str(EXAMPLES / "healthbot/experiments/loops.py"), "rocos"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline().startswith("tcp://")
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=patience())
+        finally:
+            process.kill()
+    assert (process.returncode, said) == (0, "")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_a_signal_while_it_imports_ends_it_in_silence(

@@ -6,6 +6,11 @@ with standard input. (ROS 2 needs none: a topic that one publishes can be subscr
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":  # who started it gets Ctrl-C as well, and ends its input
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
 import queue
 import sys
 import threading
