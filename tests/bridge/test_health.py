@@ -181,7 +181,7 @@ def test_an_optional_peer_that_goes_leaves_a_channel_as_stated_whatever_the_grac
 def test_with_the_last_of_optional_peers_goes_what_was_wrong_with_it() -> None:
     health = ChannelHealth("/a", 0.0, without_peers=Health.OK)
     health.connected(0.0)
-    health.judged(1.0, HealthReason.REFUSED, Health.DEGRADED, "incompatible", "qos")
+    health.peer_reported(1.0, Health.DEGRADED, "inactive")
     report = health.connected(2.0, 0, "it left")
     assert said(report) == (Health.OK, "/a: no peer is connected, and none need be")
 
@@ -195,6 +195,17 @@ def test_a_silence_ends_where_messages_are_waited_for_longer() -> None:
     assert said(health.expect(2.0, None)) == (Health.OK, "/a: it may be silent for longer")
     assert health.tick(100.0) is None
     assert said(health.expect(100.0, 5.0))[0] is Health.LOST
+
+
+def test_what_was_judged_by_its_name_is_wrong_until_that_is_judged_well() -> None:
+    health = ChannelHealth("/a", 0.0, without_peers=Health.OK)
+    health.judged(0.0, HealthReason.REFUSED, Health.DEGRADED, "incompatible", "qos")
+    assert health.connected(1.0) is None
+    assert health.connected(2.0, 0, "it left") is None
+    assert said(health.judged(3.0, HealthReason.REFUSED, Health.OK, "all fit", "qos")) == (
+        Health.OK,
+        "/a: all fit",
+    )
 
 
 def test_a_loss_may_be_temporary() -> None:
@@ -379,6 +390,8 @@ def test_what_recovers_is_well_with_the_first_new_peer_whatever_was_before(
     for pause, step in steps:
         now += pause
         happen(health, now, *step)
+    for about in ("qos", "type"):  # what has a name is judged well by it
+        health.judged(now, HealthReason.REFUSED, Health.OK, "", about)
     health.connected(now, 0)
     health.connected(now, 1)
     assert health.status.health is Health.OK

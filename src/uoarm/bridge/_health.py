@@ -211,7 +211,7 @@ class ChannelHealth:
         if before and not peers:
             if self._without_peers is Health.OK:
                 # With the last peer goes what was wrong with it.
-                return self._mended(now, "no peer is connected, and none need be", *self._faults)
+                return self._mended(now, "no peer is connected, and none need be", *self._of_peers)
             health = Health.DEGRADED if self._grace else self._without_peers
             if self._rhythm is not None:
                 cause += self._rhythm.sooner(now - self._awaited_since)
@@ -225,7 +225,7 @@ class ChannelHealth:
         self._counted, self._missed_at = self.messages, None
         if self._rhythm is not None:
             self._rhythm = _IntervalEstimate()
-        return self._mended(now, "a peer is connected", *self._faults)
+        return self._mended(now, "a peer is connected", *self._of_peers)
 
     def refused(self, now: float, cause: str, *, final: bool = False) -> ChannelReport | None:
         """The peer refused a message, or for good the channel itself."""
@@ -254,7 +254,9 @@ class ChannelHealth:
     def judged(
         self, now: float, reason: HealthReason, health: Health, cause: str, about: str
     ) -> ChannelReport | None:
-        """Something that lasts was judged, and stays so until it, or all with new peers, changes.
+        """Something that lasts was judged, and stays so until it is judged well.
+
+        Where `about` does not name it, the end of its last peer, or the first new one, ends it.
 
         Args:
             now: the time.
@@ -331,6 +333,11 @@ class ChannelHealth:
             "seconds_since_message": since,
             "stale_after": "never" if self.stale_after is None else self.stale_after,
         }
+
+    @property
+    def _of_peers(self) -> list[tuple[HealthReason, str]]:
+        """What was wrong with the peers so far. Of what has a name its judge says the end."""
+        return [key for key in self._faults if not key[1] or key == _MESSAGE]
 
     def _silence(self, now: float, note: str) -> ChannelReport | None:
         """Return what a silence is now, None where it is none, or reported so already."""

@@ -94,10 +94,8 @@ class _Subscribed:
         self.health = place.health("publisher", say)
         self.is_latched = False
         self.breaks = 0
-        # Why publishers are not connected, by address: those that are there and cannot be
-        # understood, and those that are not reached. In the publishers' threads and the watch.
-        self._refused: dict[str, str] = {}
-        self._unreached: dict[str, str] = {}
+        # Addresses of publishers that are not reached; in the threads of all publishers.
+        self._unreached: set[str] = set()
         wanted = evolve(place.wanted(record), in_runs=in_runs)
         self.subscription = TopicSubscription(
             wanted, place.node.peers, take, self._came, self._went, self._settled
@@ -123,18 +121,9 @@ class _Subscribed:
         self.place.node.unsubscribe(self.subscription)
 
     def passed(self) -> None:
-        """A message came: who was killed stays listed, and is not missed."""
+        """A message came."""
         self.health.passed()
-        for uri in tuple(self._unreached):
-            self._settled(uri)
-
-    def tick(self) -> None:
-        """Judge the silence, and again who is not understood: a first publisher covered that up."""
-        self.health.tick()
-        for uri, cause in tuple(self._refused.items()):
-            self.health.judged(HealthReason.REFUSED, Health.DEGRADED, cause, uri)
-            if uri not in self._refused:
-                self._settled(uri)  # meanwhile
+        self._miss_no_more()
 
     def _wait(self) -> None:
         """Wait until every publisher that is listed is connected, or could not be."""
@@ -153,6 +142,7 @@ class _Subscribed:
 
     def _came(self, header: PublisherHeader) -> None:
         self.is_latched = self.is_latched or header.latching
+        self._miss_no_more()
         self._count(header.node)
 
     def _went(self, name: str, cause: str, was_connected: bool, is_refusal: bool) -> None:  # noqa: FBT001 - of the subscription
@@ -161,12 +151,17 @@ class _Subscribed:
             self._gone(name)
             self._count(f"{name}: {cause}")
         else:
-            (self._refused if is_refusal else self._unreached)[name] = cause
+            if not is_refusal:
+                self._unreached.add(name)
             self.health.judged(HealthReason.REFUSED, Health.DEGRADED, cause, name)
 
+    def _miss_no_more(self) -> None:
+        """Another is there: who was killed stays listed, and is not missed."""
+        for uri in tuple(self._unreached):
+            self._settled(uri)
+
     def _settled(self, uri: str) -> None:
-        self._refused.pop(uri, None)
-        self._unreached.pop(uri, None)
+        self._unreached.discard(uri)
         why = f"{uri} is connected, or publishes no more"
         self.health.judged(HealthReason.REFUSED, Health.OK, why, uri)
 
@@ -207,7 +202,7 @@ class Ros1TopicSource(Source):
 
     def tick(self, _: Graph) -> None:
         """Look whether messages come."""
-        self._subscribed.tick()
+        self._subscribed.health.tick()
 
     def _take(self, frame: bytes | bytearray, writer: str) -> None:
         self._received += 1
@@ -232,8 +227,8 @@ class _Publishing:
         self.place = place
         self.health = place.health("subscriber", say)
         self._refusal = ""
-        # When they were, and why: added to in the loop's thread, taken from by the watch.
-        self._refused: dict[str, tuple[float, str]] = {}
+        # When they were: added to in the loop's thread, taken from by the watch.
+        self._refused: dict[str, float] = {}
         port, node = place.port, place.node
         limits = (port.queue, 4 * node.options.budget.octets)
         self.publication = node.advertise(place.topic, record, latch=int(port.latch), limits=limits)
@@ -265,10 +260,8 @@ class _Publishing:
             away = graph.living((before.keys() & subscribing).difference(self.publication.callers))
         except BridgeError:
             return  # of the master's absence it says nothing
-        for caller, (when, what) in before.items():
-            if caller in away:  # again: a first subscriber covered that up
-                self.health.judged(HealthReason.REFUSED, Health.DEGRADED, what, caller)
-            elif state.asked > when:
+        for caller, when in before.items():
+            if caller not in away and state.asked > when:
                 self._refused.pop(caller, None)
                 why = f"{caller} is connected, or subscribes no more"
                 self.health.judged(HealthReason.REFUSED, Health.OK, why, caller)
@@ -279,7 +272,7 @@ class _Publishing:
             return
         self._refusal = what
         if refused in self._refused or len(self._refused) < _MOST_REFUSED:
-            self._refused[refused] = time.monotonic(), what
+            self._refused[refused] = time.monotonic()
             self.health.judged(HealthReason.REFUSED, Health.DEGRADED, what, refused)
 
     def _wait(self) -> None:
@@ -407,7 +400,7 @@ class Relay(NativeLink):
 
     def tick(self, graph: Graph) -> None:
         """Look whether messages come, and whether subscribers that were refused still are."""
-        self._subscribed.tick()
+        self._subscribed.health.tick()
         self._publishing.tick(graph)
 
     def _take(self, run: bytes | bytearray, _: str) -> None:

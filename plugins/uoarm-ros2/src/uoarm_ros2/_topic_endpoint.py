@@ -257,9 +257,7 @@ class TopicEndpoint(ABC):
         was_alone = not self._health.peers
         self._health.connected(current, gone)
         if was_alone or not current:
-            # With the first peer, or the last, all is over that was wrong: what still is, is
-            # reported anew.
-            self._has_other_types, self._unreached = False, ""
+            # Whether all peers clash or only some is another loss.
             self._clash_checks = max(self._clash_checks, int(self._clashing))
 
     def _own_definition(self) -> str:
@@ -289,7 +287,7 @@ class TopicEndpoint(ABC):
             text = self._difference_text()
             self._judge("definition", text, "", total=self._all_differ(peers))
             self._peers_changed = UNNAMED in text  # the graph learns of an end, then of its node
-        elif before and self.count():
+        elif before:
             self._judge("definition", "", "every peer has our definition of the type")
 
     def unreached(self, peers: Sequence[Peer]) -> str:
@@ -303,7 +301,7 @@ class TopicEndpoint(ABC):
             self._unreached, self._peers_changed = before, True
         elif self._unreached and self._unreached != before:
             self._judge("reach", self._unreached, "")
-        elif before and not self._unreached and self.count():
+        elif before and not self._unreached:
             self._judge("reach", "", "all that the peers offer is reached")
 
     def _check_other_types(self) -> None:
@@ -315,7 +313,7 @@ class TopicEndpoint(ABC):
         self._has_other_types = bool(others)
         if others:
             self._judge("types", f"it carries other types than {topic.type} too: {others}", "")
-        elif self.count():
+        else:
             self._judge("types", "", f"it carries {topic.type} only")
 
     def _note_clash(self, total: int) -> None:
@@ -344,8 +342,8 @@ class TopicEndpoint(ABC):
             self._judge("qos", text, "", total=alone)
 
     def _check_clash_ended(self) -> None:
-        """Report that the last peer that did not fit is gone and others are there."""
-        if self.count() and not self._clashes():
+        """Report that the last peer that did not fit is gone."""
+        if not self._clashes():
             self._clashing = False
             self._judge("qos", "", f"every {self.peer_word} fits")
 
