@@ -12,6 +12,7 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Iterator
+from typing import get_origin
 
 import attrs
 
@@ -42,7 +43,8 @@ def interface() -> Iterator[str]:
 
 
 def _described(name: str, value: object) -> Iterator[str]:
-    if inspect.isclass(value):
+    # CPython 3.10 takes `Callable[[int], str]`, an alias, for a class.
+    if inspect.isclass(value) and get_origin(value) is None:
         yield f"  class {name}{_bases(value)}"
         yield from (f"    {line}" for line in _members(value))
     elif inspect.isroutine(value):
