@@ -103,14 +103,17 @@ def leak(value: int) -> int:
 def echo(message: dict) -> dict:
     return message
 
-def ail(value: bool) -> bool:
+def ail(value: bool, **about: str) -> bool:
     import gc
     from uoarm.bridge import Bridge
     from uoarm.model import Health
     health, cause = (Health.DEGRADED, "it ails") if value else (Health.OK, "it is well")
     [bridge] = [found for found in gc.get_objects() if issubclass(type(found), Bridge)]
-    bridge.report(health, cause)
+    bridge.report(health, cause, **about)
     return value
+
+def run_low(value: bool) -> bool:
+    return ail(value, component="thing", about="battery")
 
 def know(value: "int | None") -> int:
     from uoarm.bridge import Bridge

@@ -144,6 +144,16 @@ def test_a_host_that_answers_again_covers_up_nothing_that_its_bridge_says(
     bridge.close()
 
 
+def test_what_a_bridge_judges_of_a_component_comes_with_its_name(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path)
+    events = Events()
+    bridge.watch(events)
+    assert bridge.call(at("run_low", Role.SERVICE), True)
+    wait(lambda: events.all)
+    assert (events.all[0].component, events.all[0].about) == ("thing", "battery")
+    bridge.close()
+
+
 def test_a_storm_of_exceptions_kills_nothing_and_every_one_is_counted(tmp_path: Path) -> None:
     bridge = hosted.bridge(tmp_path)
     sink = bridge.open_sink(at("refuse", Role.INPUT), ANY)

@@ -20,6 +20,28 @@ functions:
 """
 
 
+def test_what_is_judged_well_of_a_component_covers_up_no_other_judgment() -> None:
+    bridge, causes = MemoryBridge(), Collector()
+    bridge.loop("both", NUMBER)
+
+    def listen(event: StatusEvent) -> None:
+        if event.subject == "component both":
+            causes.deliver(event.cause)
+
+    with RobotManager(loads(ROBOT), bridges={"memory": bridge}) as robot, robot.request("both"):
+        robot.listen(listen)
+        bridge.report(Health.DEGRADED, "it is inactive", component="both", about="lifecycle")
+        bridge.report(Health.DEGRADED, "it is hot", component="both", about="temperature")
+        bridge.report(Health.OK, "it is cool", component="both", about="temperature")
+        bridge.report(Health.OK, "it was seen", component="both")
+        causes.wait(3)
+        (status,) = robot.status().components
+        assert (status.health, status.cause) == (Health.DEGRADED, "it is inactive")
+        bridge.report(Health.OK, "it is active", component="both", about="lifecycle")
+        causes.wait(4)
+    assert causes.messages[:4] == ["it is inactive", "it is hot", "it is inactive", "it is active"]
+
+
 def test_what_is_well_covers_up_nothing() -> None:
     bridge = MemoryBridge()
     loop = bridge.loop("both", NUMBER)

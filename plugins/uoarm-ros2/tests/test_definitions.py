@@ -110,7 +110,8 @@ def test_another_service_under_the_name_is_an_event_and_so_is_its_end(
     def reports() -> bool:
         call(bridge, "/mixed")
         found = [message for message in events.messages if words in message.cause]
-        return [(item.health, item.component) for item in found] == [(Health.DEGRADED, "thing")]
+        judged = [(item.health, item.component, item.about) for item in found]
+        return judged == [(Health.DEGRADED, "thing", "definition")]
 
     words = "service /mixed is not the same everywhere: /stranger has std_srvs/srv/SetBool_Re"
     wait(reports)

@@ -96,9 +96,9 @@ def test_the_states_of_a_node_are_the_health_of_its_component(bridge: Bridge, ca
     opened(bridge, numbers(afterwards="cleanup"), Inbox())
     camera.do("trigger", transition="deactivate")
     event = events.event(Health.DEGRADED, "lifecycle node /camera is inactive (not asked for here)")
-    assert event.component == "thing"
+    assert (event.component, event.about) == ("thing", "lifecycle")
     camera.do("trigger", transition="activate")
-    events.event(Health.OK, "lifecycle node /camera is active")
+    assert events.event(Health.OK, "lifecycle node /camera is active").about == "lifecycle"
     camera.do("trigger", transition="deactivate")
     camera.do("trigger", transition="shutdown")
     events.event(Health.LOST, "lifecycle node /camera is finalized")

@@ -501,6 +501,7 @@ class RemoteBridge(Bridge):
             cause,
             channel=self._channels.get(event["flow"]),
             component=event["component"],
+            about=event["about"],
         )
         reply(None)
 

@@ -444,12 +444,13 @@ class Bridge(BridgeSteps):
         *,
         channel: Channel | None = None,
         component: str | None = None,
+        about: str = "",
     ) -> None:
         """Notify the manager of a change; for bridges, from any thread. Returns at once.
 
         What it is about: a `channel`, of a `NativeLink` its end at that `component`, or else its
-        source; without one every endpoint of a `component`; else the whole bridge. Each end of a
-        link is reported on its own: the component that is lost there is replaced, and no other.
+        source; or a `component`, or what was judged of it, `about`; or the whole bridge. What is
+        well covers up nothing else; of a link, only the component at the lost end is replaced.
         What the manager does:
 
         - DEGRADED: shows it with its cause. Connections go on. For a link that broke and is being
@@ -471,7 +472,7 @@ class Bridge(BridgeSteps):
         health = Health(health)
         if refusal and health in {Health.DEGRADED, Health.LOST} and refusal not in cause:
             cause = f"{cause}; the last message that came cannot be read: {refusal}"
-        event = HealthEvent(self.name, health, cause, channel, component)
+        event = HealthEvent(self.name, health, cause, channel, component, about)
         if not self._was_watched and channel is None and component is None:
             self._early = event
         # After that: one that begins to listen just now finds it there, or is found here.

@@ -119,6 +119,7 @@ class HealthEvent:
         channel: the channel concerned; None when it is the whole bridge or `component`.
         component: the component concerned, of a native link that at one of its ends; None when it
             is the channel's own or the whole bridge.
+        about: what of the component was judged, where that is several things; empty for all of it.
     """
 
     bridge: str
@@ -126,6 +127,7 @@ class HealthEvent:
     cause: str
     channel: Channel | None = None
     component: str | None = None
+    about: str = ""
 
 
 ANYTHING = ServiceStructures()

@@ -104,6 +104,7 @@ class Ros1Bridge(Bridge):
         *,
         channel: Channel | None = None,
         component: str | None = None,
+        about: str = "",
     ) -> None:
         """Report a change, and say it on /rosout."""
         if health is Health.LOST and channel is not None:
@@ -111,7 +112,7 @@ class Ros1Bridge(Bridge):
             if isinstance(channel, NativeLink) and component == channel.sink.component:
                 end, is_silent = channel.sink, False
             self._remember(end, may_answer=not is_silent)
-        super().report(health, cause, channel=channel, component=component)
+        super().report(health, cause, channel=channel, component=component, about=about)
         if self._rosout is not None:
             self._rosout.say(health, cause)
 

@@ -226,7 +226,7 @@ class Ros2Bridge(Bridge):
             self._shared.ask,
             self._runner.has_server,
             self._subscribe_to_changes,
-            self._report_component,
+            partial(self._report_component, about="lifecycle"),
         )
         self._managed = ManagedNodes(access, self._graph, self._runner.topic_name)
         self._diagnostics = DiagnosticsReader(
@@ -485,7 +485,10 @@ class Ros2Bridge(Bridge):
             if text != before:
                 health = Health.DEGRADED if text else Health.OK
                 self._report_component(
-                    health, text or "every server of it has our definition", component
+                    health,
+                    text or "every server of it has our definition",
+                    component,
+                    about="definition",
                 )
 
     def _reachable(self, address: Ros2Address, options: Ros2Options) -> Action:
@@ -495,8 +498,10 @@ class Ros2Bridge(Bridge):
             action.wait(self._graph.limit(options))
         return action
 
-    def _report_component(self, health: Health, cause: str, component: str) -> None:
-        self.report(health, cause, component=component)
+    def _report_component(
+        self, health: Health, cause: str, component: str, about: str = ""
+    ) -> None:
+        self.report(health, cause, component=component, about=about)
 
     def _cut_off(self) -> None:
         text = "the ROS 2 context was shut down from outside, as rclpy's signal handlers do"

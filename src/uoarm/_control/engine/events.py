@@ -135,8 +135,8 @@ class HealthReported:
 
     Attributes:
         component: its name; None: the whole bridge.
-        part: what of it: `bridge`, `component`, role and port of a channel, a `LinkEnd`, or
-            `messages`: what it raises, which the manager watches itself.
+        part: what of it: `bridge`, `component`, alone or with what of it was judged, role and port
+            of a channel, a `LinkEnd`, or `messages`: what it raises, which the manager watches.
         spared: instances that were opened since then, at the bridge that followed.
         is_avoided: whether it emits too little or raises too often, which no bridge would notice:
             it is avoided for a while.

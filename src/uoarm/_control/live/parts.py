@@ -556,7 +556,9 @@ def subject_of(event: HealthEvent) -> tuple[str | None, Hashable]:
     """Return the component that a report is about, None for a bridge, and which part of it."""
     channel, component = event.channel, event.component
     if channel is None:
-        return component, "bridge" if component is None else "component"
+        if component is None:
+            return None, "bridge"
+        return component, ("component", event.about) if event.about else "component"
     # Found by its endpoint: it may report before its opening has returned.
     end = channel.endpoint
     if not isinstance(channel, NativeLink):

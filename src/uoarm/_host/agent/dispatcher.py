@@ -233,6 +233,7 @@ class RequestDispatcher:
             "cause": event.cause,
             "flow": None if channel is None else self._flows.number_of(channel),
             "component": event.component or (channel and channel.endpoint.component),
+            "about": event.about,
         }
         self._reporter.submit(self._report, reports)
 

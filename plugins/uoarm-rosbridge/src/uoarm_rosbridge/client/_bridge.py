@@ -91,12 +91,13 @@ class RosbridgeBridge(Bridge):
         *,
         channel: Channel | None = None,
         component: str | None = None,
+        about: str = "",
     ) -> None:
         """Report a change; what is lost is looked for from then on."""
         if health is Health.LOST and channel is not None:
             is_silent = isinstance(channel, TopicSource) and channel.health.is_silent
             self._watch.remember(channel.endpoint, is_silent=is_silent)
-        super().report(health, cause, channel=channel, component=component)
+        super().report(health, cause, channel=channel, component=component, about=about)
 
     def _describe(self, endpoint: Endpoint) -> Description:
         address, port = address_of(endpoint), port_of(endpoint)
