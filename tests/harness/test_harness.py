@@ -686,7 +686,7 @@ def test_a_skip_of_the_kit_and_its_row_in_the_table_need_one_another(
 ) -> None:
     page = tmp_path / "skips.md"
     page.write_text(KIT_PAGE, encoding="utf-8")
-    wanted = "kinds_do or test_a_death or test_closing_twice or retained"
+    wanted = "kinds_do or test_a_death_is or test_closing_twice or retained"
     set_up = [
         "from pathlib import Path",
         "from tests.harness import _kit",
