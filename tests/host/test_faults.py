@@ -18,7 +18,7 @@ from tests.processes import lives, states
 
 from uoarm._host import RemoteBridge
 from uoarm._host.transport.liveness import Heartbeat
-from uoarm.bridge import HealthEvent
+from uoarm.bridge import Channel, HealthEvent
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health, Role
 from uoarm.testing import ResourceSnapshot, patience, slowness, wait
@@ -151,6 +151,26 @@ def test_what_a_bridge_judges_of_a_component_comes_with_its_name(tmp_path: Path)
     assert bridge.call(at("run_low", Role.SERVICE), True)
     wait(lambda: events.all)
     assert (events.all[0].component, events.all[0].about) == ("thing", "battery")
+    bridge.close()
+
+
+@pytest.mark.parametrize("role", [Role.OUTPUT, Role.INPUT])
+def test_what_reports_while_it_opens_is_that_channel(role: Role, tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path)
+    events = Events()
+    bridge.watch(events)
+    assert bridge.call(at("limp", Role.SERVICE), 1)
+    if role is Role.OUTPUT:
+        channel: Channel = bridge.open_source(at("forever"), ANY, lambda _: None)
+    else:
+        channel = bridge.open_sink(at("refuse", role), ANY)
+    wait(lambda: events.all)
+    assert [(event.channel, event.cause) for event in events.all] == [(channel, "it limps")]
+    channel.close()
+    bridge.call(at("limp", Role.SERVICE), 0)
+    bridge.call(at("ail", Role.SERVICE), True)
+    wait(lambda: events.all[1:])
+    assert events.all[1].cause == "it ails", "what is closed is no news"
     bridge.close()
 
 

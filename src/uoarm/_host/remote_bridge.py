@@ -364,19 +364,18 @@ class RemoteBridge(Bridge):
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         number = next(self._numbers)
         channel = RemoteSink(endpoint, number, self._ask_to_close, lambda: self._drop(number))
-        channel.counter = self._counter()
+        channel.counter, channel.transport = self._counter(), self._host.transport
+        channel.outgoing = FlowSender(self._host.transport, keys.flow(number), _PROMPT_SECONDS)
         if endpoint.command is not None and endpoint.command.stop is not None:
             self._host.moves = True
-        with on_failure(self._release, channel.counter):
+        self._channels[number] = channel  # before it is open: it may report while it opens
+        with on_failure(self._drop, number), on_failure(channel.outgoing.close):
             opening = _opening(number, channel.counter, endpoint, structure)
             queue = self._ask("sink", **opening)
             channel.blocking = queue is not None
             if queue is not None:
                 channel.default_queue = from_json(queue, QueuePolicy)
-        channel.transport = self._host.transport
-        patience = _BLOCKING_SECONDS if channel.blocking else _PROMPT_SECONDS
-        channel.outgoing = FlowSender(self._host.transport, keys.flow(number), patience)
-        self._channels[number] = channel
+                channel.outgoing.patience = _BLOCKING_SECONDS
         if self._host.dead:
             channel.outgoing.cut(self._host.dead)
         return channel
@@ -496,13 +495,10 @@ class RemoteBridge(Bridge):
         health, cause = Health(event["health"]), event["cause"]
         if event["flow"] is None and event["component"] is None:
             self._reported = health, cause
-        self.report(
-            health,
-            cause,
-            channel=self._channels.get(event["flow"]),
-            component=event["component"],
-            about=event["about"],
-        )
+        channel = self._channels.get(event["flow"])
+        if channel is not None or event["flow"] is None:  # of one that is closed it is no news
+            component, about = event["component"], event["about"]
+            self.report(health, cause, channel=channel, component=component, about=about)
         reply(None)
 
 

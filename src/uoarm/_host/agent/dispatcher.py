@@ -155,8 +155,9 @@ class RequestDispatcher:
         endpoint, structure = _port(request)
         if endpoint.command is not None and endpoint.command.stop is not None:
             self._before_moving()
-        sink = self._bridge.open_sink(endpoint, structure, timeout=ANSWER_SECONDS)
-        self._flows.inbound(request["flow"], request["slot"], sink, structure)
+        with self._flows.opening(request["flow"], endpoint):
+            sink = self._bridge.open_sink(endpoint, structure, timeout=ANSWER_SECONDS)
+            self._flows.inbound(request["flow"], request["slot"], sink, structure)
         return to_json(sink.default_queue) if sink.blocking else None
 
     def _call(self, request: Request) -> Message:
@@ -186,9 +187,10 @@ class RequestDispatcher:
     def _native_link(self, request: Request) -> bool:
         source = _read(request["source"], Endpoint)
         sink = _read(request["sink"], Endpoint)
-        channel = self._bridge.link(source, sink, timeout=ANSWER_SECONDS)
-        if channel is not None:
-            self._flows.plain(request["flow"], channel)
+        with self._flows.opening(request["flow"], source, sink):
+            channel = self._bridge.link(source, sink, timeout=ANSWER_SECONDS)
+            if channel is not None:
+                self._flows.plain(request["flow"], channel)
         return channel is not None
 
     def _hold(self, request: Request) -> Any:
@@ -223,6 +225,8 @@ class RequestDispatcher:
     def _noticed(self, event: HealthEvent) -> None:
         """Take an event in the bridge's thread; what concerns a source goes with its messages."""
         channel = event.channel
+        if channel is not None and channel.closed:
+            return
         if isinstance(channel, Source) and event.health in {Health.FINISHED, Health.LOST}:
             outbound = self._flows.outbound_of(channel)
             if outbound is not None:

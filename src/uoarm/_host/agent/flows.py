@@ -16,7 +16,7 @@ from uoarm._host.transport.flow import FlowEnding, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
 from uoarm._host.transport.transport import Transport
 from uoarm._raised import LimitedLog, Log, contained, foreign, is_raised, on_failure, text_of
-from uoarm.bridge import Channel, Sink, Source, message_check
+from uoarm.bridge import Channel, NativeLink, Sink, Source, message_check
 from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Message, MessageStructure, to_json
 
@@ -144,25 +144,37 @@ class OpenFlows:
         self._open: dict[int, _Open] = {}
         # Until it is closed, an input may move: what takes its place has it held here before.
         self._closing: dict[int, _Open] = {}
-        self._opening: list[OutboundFlow] = []
+        # What may report before its opening has returned, by its ends; with the flow of a source.
+        self._opening: dict[int, tuple[tuple[Endpoint, ...], OutboundFlow | None]] = {}
+
+    @contextmanager
+    def opening(
+        self, number: int, *ends: Endpoint, outbound: OutboundFlow | None = None
+    ) -> Iterator[None]:
+        """Know a channel by its ends while the caller opens and lists it."""
+        with self._lock:
+            self._opening[number] = ends, outbound
+        try:
+            yield
+        finally:
+            with self._lock:
+                del self._opening[number]
 
     @contextmanager
     def outbound(self, number: int, slot: int | None, endpoint: Endpoint) -> Iterator[OutboundFlow]:
         """Make the flow of a source, which the caller opens meanwhile and sets `channel` to."""
         outgoing = FlowSender(self._transport, keys.flow(number), _PATIENCE_SECONDS)
         outbound = OutboundFlow(endpoint, outgoing, self._counter(slot))
-        with self._lock:
-            self._opening.append(outbound)
-        try:
-            with on_failure(outbound.close):
-                yield outbound
-        finally:
-            with self._lock:
-                self._opening.remove(outbound)
+        with self.opening(number, endpoint, outbound=outbound):
+            try:
+                with on_failure(outbound.close):
+                    yield outbound
+            finally:
                 if outbound.channel is not None:
                     outbound.channel.watch_refused(outbound.count)
                     outgoing.patience = max(_PATIENCE_SECONDS, outbound.channel.patience)
-                    self._open[number] = _Open(outbound.channel, outbound=outbound)
+                    with self._lock:
+                        self._open[number] = _Open(outbound.channel, outbound=outbound)
 
     def inbound(
         self, number: int, slot: int | None, sink: Sink, structure: MessageStructure
@@ -224,9 +236,13 @@ class OpenFlows:
             return self._open.get(number) or self._closing.get(number)
 
     def number_of(self, channel: Channel) -> int | None:
-        """Return the number of an open channel, None for one that is not listed."""
+        """Return the number of a channel, also of one whose opening has not returned yet."""
         with self._lock:
-            return next((n for n, value in self._open.items() if value.channel is channel), None)
+            for number, value in self._open.items():
+                if value.channel is channel:
+                    return number
+            opening = self._opening.items()
+            return next((number for number, (ends, _) in opening if ends == _ends(channel)), None)
 
     def outbound_of(self, channel: Channel) -> OutboundFlow | None:
         """Return the flow of a source, also of one whose opening has not returned yet."""
@@ -234,14 +250,8 @@ class OpenFlows:
             for open_ in self._open.values():
                 if open_.channel is channel:
                     return open_.outbound
-            return next(
-                (
-                    outbound_flow
-                    for outbound_flow in self._opening
-                    if outbound_flow.endpoint == channel.endpoint
-                ),
-                None,
-            )
+            opening = self._opening.values()
+            return next((flow for ends, flow in opening if ends == _ends(channel)), None)
 
     def heartbeat(
         self,
@@ -300,6 +310,12 @@ def packable_facts(look: Callable[[], Mapping[str, object]]) -> Mapping[str, obj
     except Exception as error:  # noqa: BLE001 - a framework may raise anything
         return {"facts": text_of(error)}
     return facts
+
+
+def _ends(channel: Channel) -> tuple[Endpoint, ...]:
+    if isinstance(channel, NativeLink):
+        return channel.endpoint, channel.sink
+    return (channel.endpoint,)
 
 
 def _facts(one: _Open) -> Mapping[str, object]:
