@@ -117,7 +117,7 @@ kept = []
 def limp(value: int) -> int:
     # What opens from now on reports that it limps, before it is open; 0: what was opened, again.
     import gc
-    from uoarm.bridge import Bridge
+    from uoarm.bridge import Bridge, Capabilities, Channel, NativeLink
     from uoarm.model import Health
     [bridge] = [found for found in gc.get_objects() if issubclass(type(found), Bridge)]
     for channel in kept if not value else ():
@@ -131,6 +131,9 @@ def limp(value: int) -> int:
     if value:
         bridge._open_source = reporting(bridge._open_source)
         bridge._open_sink = reporting(bridge._open_sink)
+        bridge.capabilities = Capabilities(call=True, serve=True, link=True)
+        bridge._serve = reporting(lambda endpoint, *_: Channel(endpoint, list))
+        bridge._link = reporting(lambda source, sink: NativeLink(source, sink, list))
     return value
 
 def run_low(value: bool) -> bool:

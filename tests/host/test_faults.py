@@ -18,7 +18,7 @@ from tests.processes import lives, states
 
 from uoarm._host import RemoteBridge
 from uoarm._host.transport.liveness import Heartbeat
-from uoarm.bridge import Channel, HealthEvent
+from uoarm.bridge import Capabilities, Channel, HealthEvent
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health, Role
 from uoarm.testing import ResourceSnapshot, patience, slowness, wait
@@ -154,16 +154,23 @@ def test_what_a_bridge_judges_of_a_component_comes_with_its_name(tmp_path: Path)
     bridge.close()
 
 
-@pytest.mark.parametrize("role", [Role.OUTPUT, Role.INPUT])
-def test_what_reports_while_it_opens_is_that_channel(role: Role, tmp_path: Path) -> None:
+OPENED: dict[str, Callable[[RemoteBridge], Channel | None]] = {
+    "source": lambda bridge: bridge.open_source(at("forever"), ANY, lambda _: None),
+    "sink": lambda bridge: bridge.open_sink(at("refuse", Role.INPUT), ANY),
+    "service": lambda bridge: bridge.serve(at("double", Role.SERVICE), lambda _: 0),
+    "link": lambda bridge: bridge.link(at("forever"), at("refuse", Role.INPUT)),
+}
+
+
+@pytest.mark.parametrize("what", OPENED)
+def test_what_reports_while_it_opens_is_that_channel(what: str, tmp_path: Path) -> None:
     bridge = hosted.bridge(tmp_path)
+    bridge.capabilities = Capabilities(call=True, serve=True, link=True)
     events = Events()
     bridge.watch(events)
     assert bridge.call(at("limp", Role.SERVICE), 1)
-    if role is Role.OUTPUT:
-        channel: Channel = bridge.open_source(at("forever"), ANY, lambda _: None)
-    else:
-        channel = bridge.open_sink(at("refuse", role), ANY)
+    channel = OPENED[what](bridge)
+    assert channel is not None
     wait(lambda: events.all)
     assert [(event.channel, event.cause) for event in events.all] == [(channel, "it limps")]
     channel.close()

@@ -403,14 +403,21 @@ class RemoteBridge(Bridge):
             self._services.answer(reply, lambda: handler(message))
 
         end = self._host.transport.answer(keys.service(number), take)
-        with on_failure(end):
+
+        def closed() -> None:
+            end()
+            self._drop(number)
+
+        channel = RemoteChannel(endpoint, number, self._ask_to_close, closed)
+        self._channels[number] = channel  # before it is open: it may report while it opens
+        with on_failure(closed):
             self._ask(
                 "serve",
                 flow=number,
                 endpoint=to_json(endpoint),
                 structures=to_json(structures),
             )
-        return RemoteChannel(endpoint, number, self._ask_to_close, end)
+        return channel
 
     def _link(self, source: Endpoint, sink: Endpoint) -> NativeLink | None:
         number = next(self._numbers)

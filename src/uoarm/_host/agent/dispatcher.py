@@ -181,8 +181,9 @@ class RequestDispatcher:
         def handle(message: Message) -> Message:
             return self._transport.ask(key, message)
 
-        channel = self._bridge.serve(endpoint, handle, structures, timeout=ANSWER_SECONDS)
-        self._flows.plain(request["flow"], channel)
+        with self._flows.opening(request["flow"], endpoint):
+            channel = self._bridge.serve(endpoint, handle, structures, timeout=ANSWER_SECONDS)
+            self._flows.plain(request["flow"], channel)
 
     def _native_link(self, request: Request) -> bool:
         source = _read(request["source"], Endpoint)
