@@ -148,16 +148,16 @@ def test_two_topics_of_one_type_are_linked_by_the_plan(master: Master, lasting: 
     peer.kill()
 
 
-@pytest.mark.parametrize("goes", ["/taker/{}", "/taken"], ids=["two topics", "one topic"])
+@pytest.mark.parametrize("goes", ["/taker/{}", "/linked"], ids=["two topics", "one topic"])
 def test_a_consumer_of_a_link_that_is_killed_is_replaced_and_no_producer_blamed(
     master: Master, lasting: Peer, goes: str
 ) -> None:
-    lasting.do("advertise", topic="/taken", type="std_msgs/Int32")
+    lasting.do("advertise", topic="/linked", type="std_msgs/Int32")
     topics = {name: goes.format(name) for name in ("first", "second")}
     peers = {name: master.peer(name) for name in topics}
     peers["first"].do("subscribe", topic=topics["first"], type="std_msgs/Int32")
     functions = f"""
-  numbers: {{components: [{{name: numbers, bridge: ros, output: {{endpoint: [/taken]}}}}]}}
+  numbers: {{components: [{{name: numbers, bridge: ros, output: {{endpoint: [/linked]}}}}]}}
   taker:
     components:
       - name: first
