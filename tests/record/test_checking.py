@@ -139,7 +139,7 @@ def test_strict_wants_all_channels_checked(
     assert (code, json.loads(text)["is_complete"]) == (0, False), text
     assert checked(both, ALONE, "--strict")[0] == 1
     done = CliRunner().invoke(main, ["check", "--strict", str(tape.with_name("robot.yaml"))])
-    assert (done.exit_code, "belongs to --recording" in done.stderr) == (2, True)
+    assert (done.exit_code, "no use for --strict" in done.stderr) == (2, True)
 
 
 def test_what_feeds_nothing_is_held_against_its_provider(tape: Path) -> None:
