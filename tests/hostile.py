@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from array import array
 from collections import deque
@@ -179,7 +180,7 @@ HOSTILE: Mapping[str, Callable[[], Any]] = {
     "every second octet": lambda: memoryview(b"abcdef")[::2],
     "every second number": lambda: memoryview(array("d", [1, 2, 3, 4]))[::2],
     "octets in two dimensions": lambda: memoryview(b"abcdef").cast("B", (2, 3)),
-    "characters": lambda: array("u", "abc"),
+    "characters": lambda: array("w" if sys.version_info >= (3, 13) else "u", "abc"),
     "octets that were released": _released,
     "a set": lambda: {1, 2},
     "a range": lambda: range(3),
@@ -188,7 +189,7 @@ HOSTILE: Mapping[str, Callable[[], Any]] = {
     "an array of itself": _array_of_itself,
     "an array with a mask": lambda: np.ma.masked_array([1.0, 2.0], [False, True]),
     "records of numpy": lambda: np.zeros(2, [("a", "f4"), ("b", "i4")]),
-    "no time": lambda: np.datetime64("NaT"),
+    "no time": lambda: np.datetime64("NaT", "ns"),
     **{f"one {kind}": partial(_zeros, kind, 1, 0) for kind in _TYPES},
     **{f"{kind} without dimensions": partial(_zeros, kind, ()) for kind in _TYPES},
     **{f"every second {kind}": partial(_zeros, kind, 4, slice(None, None, -2)) for kind in _TYPES},

@@ -268,7 +268,7 @@ def test_where_the_system_gives_no_thread_nothing_is_counted(
 ) -> None:
     pool = WorkerPool("test", 1)
     with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", partial(_fail, "can't start new thread"))
+        patch.setattr(threading.Thread, "start", _start_none)
         with pytest.raises(RuntimeError, match="new thread"):
             pool.submit(lambda: None)
     done = threading.Event()
@@ -278,8 +278,8 @@ def test_where_the_system_gives_no_thread_nothing_is_counted(
     pool.close()
 
 
-def _fail(text: str, *_: object) -> None:
-    raise RuntimeError(text)
+def _start_none(thread: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
 
 
 ENDS = """

@@ -54,7 +54,11 @@ def test_it_is_ready_for_one_before_all_other_imports(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "shared", ["healthbot/experiments/stage.py", "warehouse/experiments/experiment.py"]
+    "shared",
+    [
+        pytest.param("healthbot/experiments/stage.py", marks=pytest.mark.needs("rtm")),
+        "warehouse/experiments/experiment.py",
+    ],
 )
 def test_an_experiment_ends_in_silence(shared: str) -> None:
     file = EXAMPLES / shared
@@ -63,6 +67,7 @@ def test_an_experiment_ends_in_silence(shared: str) -> None:
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
 
 
+@pytest.mark.needs("rocos")
 def test_the_loops_of_an_experiment_end_with_their_input_alone() -> None:
     command = [sys.executable, str(EXAMPLES / "healthbot/experiments/loops.py"), "rocos"]
     pipe = subprocess.PIPE
