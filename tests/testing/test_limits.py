@@ -6,6 +6,8 @@ import inspect
 from contextlib import closing
 
 import pytest
+from hypothesis import given
+from hypothesis.strategies import floats, lists
 from tests.testing.test_memory_conformance import MemoryWorld
 
 from uoarm import RobotManager
@@ -13,6 +15,7 @@ from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import BridgeTimeoutError
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import MemoryBridge, hanging, patience, wait
+from uoarm.testing._resources import idle_share
 from uoarm.testing._waiting import default_limits
 from uoarm.testing.conformance._failures import HealthLog
 
@@ -69,3 +72,14 @@ def test_what_a_bridge_reported_while_the_kit_waited_is_shown() -> None:
 
         with pytest.raises(AssertionError, match="late"):
             log.wait(endpoint, None, looked_at)
+
+
+def test_where_waking_is_expensive_what_waits_may_take_more() -> None:
+    assert idle_share(1.0, [0.002] * 2) == pytest.approx(0.05)  # either may have been disturbed
+    assert idle_share(1.0, [0.03, 0.002, 0.0001]) == pytest.approx(0.06)
+    assert idle_share(1.0, [0.0015] * 3) == pytest.approx(0.2)
+
+
+@given(slower=floats(1, 1000), wakes=lists(floats(0, 10)))
+def test_a_loop_that_takes_all_it_gets_is_never_idle(slower: float, wakes: list[float]) -> None:
+    assert 0.05 <= idle_share(slower, wakes) <= 0.35

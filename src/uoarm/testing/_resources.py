@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from random import SystemRandom
@@ -22,6 +23,9 @@ _GLANCE_SECONDS = 0.01
 _LOOK_SECONDS = 0.5
 _IDLE_SHARE = 0.05
 _MOST_IDLE_SHARE = 0.15
+_WAKES_PER_SECOND = 100
+_MOST_WAKING_SHARE = 0.2
+_LOOKS_BEFORE_CREDIT = 3
 
 
 def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
@@ -41,13 +45,16 @@ def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
         AssertionError: it takes more, at each look.
     """
     shares: list[float] = []
+    wakes: list[float] = []
 
     def is_idle() -> bool:
         begin, before = time.monotonic(), _processor_seconds(others)
+        own = time.thread_time()
         threading.Event().wait(_LOOK_SECONDS)
+        wakes.append(time.thread_time() - own)
         used = _processor_seconds(others) - before
         shares.append(used / (time.monotonic() - begin))
-        return shares[-1] < min(_IDLE_SHARE * max(slowness(), crowd()), _MOST_IDLE_SHARE)
+        return shares[-1] < idle_share(max(slowness(), crowd()), wakes)
 
     try:
         wait(is_idle, timeout=timeout)
@@ -55,6 +62,18 @@ def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
         least = f"{min(shares):.0%} of a processor"
         text = f"a loop turns for nothing {moment}: {least} at least, in {len(shares)} looks"
         raise AssertionError(text) from None
+
+
+def idle_share(slower: float, wakes: Sequence[float]) -> float:
+    """Return the share of a processor below which it counts as idle.
+
+    Args:
+        slower: how many times slower than usual what waits has its work done.
+        wakes: processor seconds that a thread took in each look for one wake-up. The least of
+            them counts, and only when there are three: a single one may have been disturbed.
+    """
+    waking = _WAKES_PER_SECOND * min(wakes) if len(wakes) >= _LOOKS_BEFORE_CREDIT else 0.0
+    return min(_IDLE_SHARE * slower, _MOST_IDLE_SHARE) + min(waking, _MOST_WAKING_SHARE)
 
 
 class ResourceSnapshot:
