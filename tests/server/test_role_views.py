@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from attrs import fields
+from attrs import evolve, fields
 
 from uoarm.config import loads
 from uoarm.model import (
@@ -104,6 +104,37 @@ def test_a_role_gets_what_it_sees_and_no_name_of_the_rest(part: str) -> None:
     assert shown
     for name in ("secret", "hidden-one", "vault"):
         assert name not in str(shown)
+
+
+def test_a_component_that_has_the_name_of_a_connection_is_another() -> None:
+    robot = loads(
+        """
+version: 1
+bridges: {python: {}}
+functions:
+  public: {components: [{name: c2, bridge: python, output: {endpoint: ["a:b"]}}]}
+  secret: {components: [{name: c1, bridge: python, output: {endpoint: ["a:b"]}}]}
+""",
+        "robot.yaml",
+    )
+    seen = RouteStatus("c2.default", "c1", 1, 1)
+    secret = RouteStatus("c1.default", "c1", 1, 1), RouteStatus("c2.default", "c2", 1, 1)
+    status = evolve(
+        STATUS,
+        components=(
+            ComponentStatus("c2", "public", "python", Health.OK, ("c1",)),
+            ComponentStatus("c1", "secret", "python", Health.OK, ("c2",)),
+        ),
+        connections=(
+            ConnectionStatus("c1", "public", ConnectionState.RUNNING, ("c2",)),
+            ConnectionStatus("c2", "secret", ConnectionState.RUNNING, ("c1",)),
+        ),
+        routes=(seen, *secret),
+        deaths=(("c1", 1),),
+    )
+    shown = visible_status(status, RoleViews(lambda: robot).of(GUEST))
+    assert shown.routes == (seen,)
+    assert shown.deaths == ()
 
 
 @pytest.mark.parametrize(

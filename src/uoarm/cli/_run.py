@@ -282,7 +282,7 @@ class _Reading:
         yield from self._connection.routes()
         yield from status.ended
         for route in self._robot.status().routes:
-            if route.consumer.partition(".")[0] in status.components:
+            if route.consumer.rpartition(".")[0] in status.components:
                 yield route
 
     def _say_what_is_wrong(self) -> None:

@@ -111,9 +111,22 @@ test("every word of a search must be found", () => {
   assert.deepEqual(names("", { running: true }), ["camera", "faces"]);
 });
 
-test("names with dots differ from ports", () => {
-  const names = new Set(["a.b", "c1"]);
-  assert.deepEqual(["a.b.default", "a.b", "c1", "c1.input"].map((name) => endOf(name, names)), ["a.b", "a.b", "c1", "c1"]);
+test("a component that has the name of a connection is another", () => {
+  const functions = [{ name: "camera", description: "", components: [{ name: "c1", bridge: "ros", priority: 1, uses: [] }] }];
+  const connections = ["c1", "c2"].map((id) => ({ id, function: "camera", state: "running", components: ["c1"], cause: "" }));
+  const routes = [route("c1.default", "c1", { rate: 3 }), route("c1.default", "c2"), route("c2", "c1.command", { rate: 8 })];
+  const system = join(functions, { ...NOTHING, components: [component("c1", "camera", ["c1", "c2"])], connections, routes });
+  assert.deepEqual(system.connections.map((connection) => connection.rate), [3, 10]);
+  const edges = makeEdges(system, makeCards(system, system.functions, all));
+  assert.deepEqual(edges.map((edge) => [edge.from, edge.to, edge.rate]), [
+    ["function/camera", "connection/c1", 3],
+    ["function/camera", "connection/c2", 10],
+    ["connection/c2", "function/camera", 8],
+  ]);
+});
+
+test("an end of a route is a port of a component, or a connection", () => {
+  assert.deepEqual(["a.b.default", "a.default", "c1"].map(endOf), ["component/a.b", "component/a", "connection/c1"]);
 });
 
 test("a kill is said to be one, and by whom", () => {

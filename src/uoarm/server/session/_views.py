@@ -174,9 +174,8 @@ def visible_status(status: StatusMap, view: RoleView) -> StatusMap:
     connections = [
         connection for connection in status.connections if view.has_function(connection.function)
     ]
-    names = {component_status.name for component_status in components} | {
-        connection.id for connection in connections
-    }
+    names = {component_status.name for component_status in components}
+    ids = {connection.id for connection in connections}
     return evolve(
         status,
         bridges=tuple(
@@ -185,8 +184,10 @@ def visible_status(status: StatusMap, view: RoleView) -> StatusMap:
             if view.has_bridge(bridge.name)
         ),
         components=tuple(_shown_component(component, view) for component in components),
-        connections=tuple(_shown_connection(connection, names, view) for connection in connections),
-        routes=_shown_routes(status.routes, names, view),
+        connections=tuple(
+            _shown_connection(connection, names, ids, view) for connection in connections
+        ),
+        routes=_shown_routes(status.routes, names, ids, view),
         machines=tuple(
             evolve(machine, bridges=bridges, cause=view.text(machine.cause))
             for machine in status.machines
@@ -221,7 +222,7 @@ def _shown_component(component: ComponentStatus, view: RoleView) -> ComponentSta
 
 
 def _shown_connection(
-    connection: ConnectionStatus, names: Collection[str], view: RoleView
+    connection: ConnectionStatus, names: Collection[str], ids: Collection[str], view: RoleView
 ) -> ConnectionStatus:
     return evolve(
         connection,
@@ -229,18 +230,23 @@ def _shown_connection(
             name for name in connection.components if name in names or view.has_component(name)
         ),
         cause=view.text(connection.cause),
-        ended=_shown_routes(connection.ended, names, view),
+        ended=_shown_routes(connection.ended, names, ids, view),
     )
 
 
 def _shown_routes(
-    routes: Collection[RouteStatus], names: Collection[str], view: RoleView
+    routes: Collection[RouteStatus], names: Collection[str], ids: Collection[str], view: RoleView
 ) -> tuple[RouteStatus, ...]:
-    """Return the routes of which the role sees both ends."""
+    """Return the routes of which the role sees both ends.
+
+    An end is a connection by its id, or a port of a component; a component may be named as an id.
+    """
 
     def sees(end: str) -> bool:
-        component = end.rpartition(".")[0]
-        return end in names or component in names or view.has_component(component)
+        component, is_port, _ = end.rpartition(".")
+        if not is_port:
+            return end in ids
+        return component in names or view.has_component(component)
 
     return tuple(
         evolve(route, last_error=view.text(route.last_error), refusal=view.text(route.refusal))

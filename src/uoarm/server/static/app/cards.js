@@ -1,6 +1,6 @@
 // Cards and edges of the graph, with their sizes, from the joined system. Pure.
 
-import { groupBy, nameOf, worst } from "./system.js";
+import { componentId, groupBy, nameOf, worst } from "./system.js";
 
 export const WIDTH = 250;
 export const HEAD = 40;
@@ -96,16 +96,16 @@ export const concerns = (card, bridges) =>
 /** Edges between cards: messages that flow, dependencies of what is not running, what a manager or machine has. */
 export function makeEdges(system, cards) {
   const byId = new Map(cards.map((card) => [card.id, card]));
-  const home = new Map();
+  const home = new Map(); // the card in which an end of a route is
   const holder = new Map(); // the card in which a function is
   for (const card of cards) {
     for (const func of card.kind === "manager" && card.folded ? card.data.own : []) {
       holder.set(func.name, card);
-      for (const row of func.rows) home.set(row.name, card);
+      for (const row of func.rows) home.set(componentId(row.name), card);
     }
     if (card.kind === "function") holder.set(card.title, card);
-    if (card.kind === "function") for (const row of card.data.rows) home.set(row.name, card);
-    if (card.kind === "connection") home.set(card.data.id, card);
+    if (card.kind === "function") for (const row of card.data.rows) home.set(componentId(row.name), card);
+    if (card.kind === "connection") home.set(card.id, card);
   }
   const edges = new Map();
   for (const route of system.routes) {
@@ -161,11 +161,11 @@ function merge(first, second) {
 }
 
 /** Where an edge leaves or enters a card, from its upper edge: the middle of the row's line. */
-export function anchor(card, rowName) {
+export function anchor(card, end) {
   let top = HEAD;
   for (const row of card.rows) {
     const height = rowHeight(row);
-    if (row.name === rowName) return top + height / 2;
+    if (componentId(row.name) === end) return top + height / 2;
     top += height;
   }
   return card.rows.length ? HEAD / 2 : card.height / 2;

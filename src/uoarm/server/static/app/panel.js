@@ -7,7 +7,7 @@ import { rate, short, span } from "./format.js";
 import { Kill, Right } from "./kill.js";
 import { Recordings } from "./recordings.js";
 import { Send } from "./send.js";
-import { holdersOf, nameOf, sayThrough } from "./system.js";
+import { componentId, holdersOf, nameOf, sayThrough } from "./system.js";
 import { Facts, Framework, Health, html, Notice } from "./ui.js";
 import { Watch } from "./watch.js";
 
@@ -82,7 +82,8 @@ function command({ phase, left, lease }) {
 function ConnectionPanel({ store, panel }) {
   const connection = store.system.connections.find((other) => other.id === panel.name);
   if (!connection) return html`<${Gone} store=${store} what="connection" />`;
-  const routes = store.system.routes.filter((route) => route.to === connection.id || connection.components.includes(route.to));
+  const ends = new Set([`connection/${connection.id}`, ...connection.components.map(componentId)]);
+  const routes = store.system.routes.filter((route) => ends.has(route.to));
   return html`<div class="panel-body" tabindex="0">
     <p><${Kill} store=${store} connection=${connection} /></p>
     <${Facts} of=${[...holdersOf(connection).map((holder) => ["held by", holder]), ["function", connection.function], ["state", connection.state],

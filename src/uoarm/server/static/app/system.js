@@ -15,19 +15,22 @@ export const drops = (route) => sum(route.dropped.map(([, count]) => count));
 /** On how many messages of a route its consumer raised: the failure of that one, not of the producer. */
 const raised = (route) => sum(route.dropped.map(([why, count]) => (why === "failed" ? count : 0)));
 
-/** The component or connection at one end of a route: "camera.default" is of "camera". */
-export const endOf = (place, names) =>
-  names.has(place) ? place : place.slice(0, Math.max(0, place.lastIndexOf(".")));
+/** What is at one end of a route: "camera.default" is "component/camera", "c1" is "connection/c1". */
+export const endOf = (place) => {
+  const dot = place.lastIndexOf(".");
+  return dot < 0 ? `connection/${place}` : componentId(place.slice(0, dot));
+};
+
+export const componentId = (name) => `component/${name}`;
 
 /** Everything known about the system, joined: functions with rows, connections, frameworks, machines. */
 export function join(functions, status, events = [], session = "") {
   const deaths = lastDeaths(events);
   const open = new Map(status.components.map((component) => [component.name, component]));
-  const names = new Set([...open.keys(), ...status.connections.map((connection) => connection.id)]);
   const routes = status.routes.map((route) => ({
     ...route,
-    from: endOf(route.producer, names),
-    to: endOf(route.consumer, names),
+    from: endOf(route.producer),
+    to: endOf(route.consumer),
     lost: drops(route),
   }));
   const from = groupBy(routes, (route) => route.from);
@@ -36,7 +39,7 @@ export function join(functions, status, events = [], session = "") {
   return {
     functions: functions.map((func) => withRows(func, open, { from, to }, deaths)),
     connections: status.connections.map((connection) => ({
-      ...withFlow(connection, to.get(connection.id) ?? from.get(connection.id) ?? []),
+      ...withFlow(connection, to.get(`connection/${connection.id}`) ?? from.get(`connection/${connection.id}`) ?? []),
       clients: (status.clients ?? []).filter((client) => client.connections.includes(connection.id))
         .map((client) => ({ ...client, own: client.session === session })),
     })),
@@ -56,7 +59,7 @@ function withRows(described, open, routes, deaths) {
     const users = live?.users ?? [];
     const recorded = part.plugin === "recording";
     const own = { recorded, failed: live?.failed ?? 0, error: live?.last_error ?? "", commands: commandsOf(live) };
-    return { ...part, open: Boolean(live), health, cause, users, ...flowOf(part.name, routes), ...own };
+    return { ...part, open: Boolean(live), health, cause, users, ...flowOf(componentId(part.name), routes), ...own };
   });
   return { ...described, rows, health: worst(rows.map((row) => row.health)) };
 }
@@ -93,9 +96,9 @@ function withFlow(connection, routes) {
 }
 
 /** What a component gives; of one that gives nothing, what it takes, whose losses are its producers'. */
-function flowOf(name, { from, to }) {
-  if (from.has(name)) return flow(from.get(name));
-  return { ...flow(to.get(name) ?? []), lost: 0, invalid: 0 };
+function flowOf(id, { from, to }) {
+  if (from.has(id)) return flow(from.get(id));
+  return { ...flow(to.get(id) ?? []), lost: 0, invalid: 0 };
 }
 
 function flow(routes) {
