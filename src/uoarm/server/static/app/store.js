@@ -6,6 +6,8 @@ import { Watches } from "./watches.js";
 import { Wire } from "./wire.js";
 
 const EVERY = 1000;
+const REST = 4; // times as long as drawing took, nothing is asked: it has a fifth of the time at most
+const LONGEST_REST = 5000;
 const MOST_EVENTS = 1000;
 const NOTHING = { bridges: [], components: [], connections: [], routes: [], machines: [], own: [] };
 
@@ -26,6 +28,8 @@ export class Store {
     this.listeners = new Set();
     this.frame = frame;
     this.changing = false;
+    this.looking = false; // whether what is asked every second was not answered yet
+    this.rested = 0; // until when nothing is asked
     this.version = 0;
     this.wire = new Wire(url, (...report) => this.#receive(...report), { isLocked, socket });
     this.watches = new Watches(this.wire, () => this.changed());
@@ -41,10 +45,17 @@ export class Store {
     if (this.changing) return;
     this.changing = true;
     this.frame(() => {
+      const begin = performance.now();
       this.changing = false;
       this.version += 1;
       for (const listener of this.listeners) listener(this.version);
+      setTimeout(() => this.#drawn(begin), 0); // runs once the frame was drawn
     });
+  }
+
+  #drawn(begin) {
+    const now = performance.now();
+    this.rested = now + Math.min(REST * (now - begin), LONGEST_REST);
   }
 
   /** Asks for the status again, now. */
@@ -123,9 +134,11 @@ export class Store {
   #look() {
     if (document.hidden) return;
     this.wire.look();
-    if (!this.begun) return;
-    this.refresh().catch((error) => console.warn(error.message));
-    this.#askApprovals();
+    if (!this.begun || this.looking || performance.now() < this.rested) return;
+    this.looking = true;
+    Promise.all([this.refresh(), this.#askApprovals()])
+      .catch((error) => console.warn(error.message))
+      .finally(() => (this.looking = false));
   }
 
   #see(status) {
