@@ -13,7 +13,7 @@ from endpoints import ANSWERS, Make, Start, checked, endpoint
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm import _discovery, _naming, _orb
-from uoarm_rtm._discovery import Directory, DirectoryEntry, DirectoryMonitor
+from uoarm_rtm._discovery import Directory, DirectoryMonitor
 from uoarm_rtm._naming import Name, NamingService, corbaloc
 from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb
@@ -39,7 +39,7 @@ class Listed:
 
     def __init__(self) -> None:
         self.name: Name | None = Name("A.rtc", self)
-        self.condition = "alive"
+        self.found = "alive"
         self.gone: tuple[str, ...] = ()
         self.looks = 0
         self.answers = threading.Event()  # whether the first naming service does
@@ -59,9 +59,9 @@ class Listed:
             raise BridgeError(f"{service} is gone")
         return {} if self.name is None or service == "first" else {self.name.path: self.name}
 
-    def look(self, name: Name) -> DirectoryEntry:
+    def condition(self, name: Name) -> str:
         self.looks += 1
-        return DirectoryEntry(name.path, name.reference, self.condition)
+        return self.found
 
 
 class Watching:
@@ -91,7 +91,7 @@ def test_one_that_leaves_between_two_checks_has_not_died(leaves: bool) -> None:
     watching.play(watching.monitor.checks())
     round_of_checks = watching.monitor.checks()
     watching.play(round_of_checks[:2])
-    listed.condition = "dead"
+    listed.found = "dead"
     if leaves:
         listed.name = None
     watching.play(round_of_checks[2:])
@@ -115,7 +115,7 @@ def test_a_naming_service_that_is_gone_says_nothing_of_its_components() -> None:
         (Health.DEGRADED, "first is gone"),
         (Health.OK, "a naming service answers again"),
     ]
-    listed.condition = "dead"
+    listed.found = "dead"
     watching.play(watching.monitor.checks())
     assert watching.reports[2:] == [(Health.LOST, "component A.rtc died: only its name is left")]
 
@@ -164,8 +164,7 @@ def test_a_naming_service_that_hung_is_asked_for_what_no_other_knows(
     path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(_discovery, "peer_at", lambda _, found, __: found)
-    looked = lambda _, name: DirectoryEntry(name.path, name.reference, "alive")  # noqa: E731
-    monkeypatch.setattr(Directory, "look", looked)
+    monkeypatch.setattr(Directory, "condition", lambda *_: "alive")
     first, second = Service("a.host_cxt/Both.rtc", "First.rtc"), Service("a.host_cxt/Both.rtc")
     services: Any = (first, second)
     directory: Any = Directory(services, 1.0)

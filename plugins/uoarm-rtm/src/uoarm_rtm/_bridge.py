@@ -50,7 +50,7 @@ from uoarm_rtm._options import (
     linked_options,
 )
 from uoarm_rtm._orb import Orb
-from uoarm_rtm._own_component import OwnComponent
+from uoarm_rtm._own_component import OwnComponent, OwnSink, OwnSource
 from uoarm_rtm._peer import Connections, PeerComponent, PeerPort, state_of
 from uoarm_rtm._services import (
     OperationCaller,
@@ -71,10 +71,6 @@ Ticked = TypeVar("Ticked", OutPortSource, InPortSink)
 
 class RtmBridge(Bridge):
     """OpenRTM components through CORBA.
-
-    Args:
-        name: name of this instance in the configuration.
-        options: of it.
 
     Raises:
         BridgeError: the IDL of the options cannot be compiled, or the ORB cannot begin.
@@ -141,7 +137,7 @@ class RtmBridge(Bridge):
         address = address_of(endpoint)
         if address.component == SELF:
             own = address.type or self._types.derive(address.port, structure, is_read=True)
-            return self._own_component().source(endpoint, address.port, own, deliver)
+            return OwnSource(self._own_component(), endpoint, address.port, own, deliver)
         remote = self._remote_port(endpoint)
         return self._ticked(OutPortSource(remote, deliver))
 
@@ -149,7 +145,7 @@ class RtmBridge(Bridge):
         address = address_of(endpoint)
         if address.component == SELF:
             own = address.type or self._types.derive(address.port, structure, is_read=False)
-            return self._own_component().sink(endpoint, address.port, own)
+            return OwnSink(self._own_component(), endpoint, address.port, own)
         remote = self._remote_port(endpoint)
         return self._ticked(InPortSink(remote))
 
@@ -208,16 +204,15 @@ class RtmBridge(Bridge):
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
     ) -> Channel:
         address = address_of(endpoint)
-        if address.component == SELF and not address.type:
-            interface, idl = self._types.derive_interface(address.port, structures)
-            wrapped = unwrapped(handler)
-            return self._own_component().service(
-                endpoint, address.port, interface, CALL, wrapped, idl
-            )
         if address.component == SELF:
-            interface, operation = self._types.interface(address.type)
+            idl = ""
+            if address.type:
+                interface, operation = self._types.interface(address.type)
+            else:
+                interface, idl = self._types.derive_interface(address.port, structures)
+                operation, handler = CALL, unwrapped(handler)
             return self._own_component().service(
-                endpoint, address.port, interface, operation, handler
+                endpoint, address.port, interface, operation, handler, idl
             )
         peer = self._directory.peer(address.component)
         port = peer.port(address.port)

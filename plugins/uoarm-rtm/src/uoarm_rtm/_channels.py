@@ -128,10 +128,6 @@ class OutPortSource(Source):
 
     Messages are delivered in a thread of the ORB (push), or in one of the channel's own (pull).
 
-    Args:
-        remote: the port.
-        deliver: takes the messages.
-
     Raises:
         BridgeError: the port refuses or is gone; nothing stays connected.
     """
@@ -228,9 +224,6 @@ class InPortSink(Sink):
 
     `send` waits for the component's answer where we push with `flush`; otherwise it puts the
     message into our buffer, whose policy may be to wait for room.
-
-    Args:
-        remote: the port.
 
     Raises:
         BridgeError: the port refuses or is gone; nothing stays connected.
@@ -401,8 +394,6 @@ class NativeConnector(NativeLink):
     """A connector from one component's OutPort to another's InPort.
 
     Args:
-        source: the OutPort.
-        sink: the InPort.
         options: what the options of both ends ask together.
 
     Raises:

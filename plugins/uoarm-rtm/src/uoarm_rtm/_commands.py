@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 from uoarm.errors import BridgeError, CommandLineError
@@ -23,7 +23,6 @@ class CommandSession:
     """One command's view of some naming services.
 
     Args:
-        orb: the ORB to call through.
         addresses: of the naming services.
         seconds: limit of each call.
     """
@@ -145,11 +144,8 @@ class CommandSession:
 @contextmanager
 def session(addresses: Sequence[str], seconds: float) -> Iterator[CommandSession]:
     """Have an ORB for one command."""
-    orb = Orb("127.0.0.1", seconds)
-    try:
+    with closing(Orb("127.0.0.1", seconds)) as orb:
         yield CommandSession(orb, addresses, seconds)
-    finally:
-        orb.close()
 
 
 def _runs(maker: str) -> str:

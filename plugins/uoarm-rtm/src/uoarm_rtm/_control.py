@@ -385,7 +385,6 @@ class _Activation:
     """One component that channels need ACTIVE.
 
     Attributes:
-        users: the channels.
         is_ours: whether we have activated it.
         changing: held while the component is called: one that is about to be deactivated must not
             count as active for a channel that opens.

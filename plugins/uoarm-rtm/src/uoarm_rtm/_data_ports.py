@@ -111,9 +111,7 @@ class InPort(_DataPort):
     """Takes messages of one type.
 
     Args:
-        orb: where it is served.
         name: `COMPONENT.PORT`.
-        codec: its data type.
         take: called with each message, in a thread of the ORB; one at a time a connector.
         seconds: limit of calls to other ports.
         rate: times a second that OutPorts of pull connectors are asked; 0: `fetch` asks.
@@ -214,9 +212,7 @@ class OutPort(_DataPort):
     """Emits messages of one type; `write` may be called from any thread.
 
     Args:
-        orb: where it is served.
         name: `COMPONENT.PORT`.
-        codec: its data type.
         seconds: limit of one delivery, and of calls to other ports.
     """
 

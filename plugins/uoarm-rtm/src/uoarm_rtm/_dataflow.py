@@ -241,7 +241,6 @@ class ThreadedPusher(Buffer):
 
     Args:
         put: sends one message; called in that thread, must not raise.
-        policy: of the buffer.
         push: which of the messages that wait are sent.
         period: seconds from one round to the next; 0 for as soon as something waits.
     """

@@ -11,9 +11,9 @@ import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from attrs import define, field, frozen
+from attrs import define, field
 from omniORB import CORBA
 
 from uoarm.bridge import Description, Discovered, WorkerExecutor, did_you_mean
@@ -32,15 +32,6 @@ Answer = TypeVar("Answer")
 
 _AT_ONCE = 8
 _SUFFIX = ".rtc"
-
-
-@frozen
-class DirectoryEntry:
-    """A component's name and what stands behind it: `alive`, `dead` or `hung`."""
-
-    path: str
-    reference: Any
-    condition: str
 
 
 class Directory:
@@ -139,38 +130,39 @@ class Directory:
         except RuntimeError as error:  # no thread can begin any more
             raise BridgeError("this process is ending", FailureReason.CLOSED) from error
 
-    def _entries(self, services: Sequence[NamingService]) -> tuple[DirectoryEntry, ...]:
-        """Return every component's name, with its condition; silent services are left out.
+    def _conditions(self, services: Sequence[NamingService]) -> list[tuple[Name, str]]:
+        """Return every component's name with its condition; silent services are left out.
 
         Raises:
             BridgeError: no naming service answers.
         """
-        return self._at_once(self.look, self._names(services).values())
+        names = self._names(services).values()
+        return list(zip(names, self._at_once(self.condition, names), strict=True))
 
     def peers(self) -> tuple[tuple[PeerComponent, ...], tuple[tuple[str, str], ...]]:
         """Return the components that answer, and (path, what is wrong) of those that do not."""
         found: list[PeerComponent] = []
         silent = []
-        for entry in self._entries(self.services):
-            if entry.condition != "alive":
-                silent.append((entry.path, entry.condition))
+        for name, condition in self._conditions(self.services):
+            if condition != "alive":
+                silent.append((name.path, condition))
                 continue
             try:
-                found.append(peer_at(entry.path, entry.reference, self._seconds))
+                found.append(peer_at(name.path, name.reference, self._seconds))
             except BridgeError as error:
-                silent.append((entry.path, str(error)))
+                silent.append((name.path, str(error)))
         return tuple(found), tuple(silent)
 
-    def look(self, name: Name) -> DirectoryEntry:
-        """Return the condition of the component behind a name; one that hangs takes its time."""
+    def condition(self, name: Name) -> str:
+        """Return what stands behind a name, `alive`, `dead` or `hung`, which takes its time."""
         try:
             with calls:
                 gone = limit(name.reference, self._seconds)._non_existent()
         except CORBA.TIMEOUT:
-            return DirectoryEntry(name.path, name.reference, "hung")
+            return "hung"
         except CORBA.Exception:
             gone = True
-        return DirectoryEntry(name.path, name.reference, "dead" if gone else "alive")
+        return "dead" if gone else "alive"
 
     def _below(
         self, path: str, services: Sequence[NamingService], unreadable: BridgeError | None = None
@@ -180,29 +172,29 @@ class Directory:
         CORBA writes a dot within a step with a backslash before it; people write `x.y.host_cxt`.
         """
         plain = path.replace("\\", "")
-        every = self._entries(services)
+        every = self._conditions(services)
         seen = [
-            entry
-            for entry in every
-            if entry.path.split("/")[-1] == path or entry.path.replace("\\", "") == plain
+            (name, condition)
+            for name, condition in every
+            if name.path.split("/")[-1] == path or name.path.replace("\\", "") == plain
         ]
-        alive = [entry for entry in seen if entry.condition == "alive"]
+        alive = [name for name, condition in seen if condition == "alive"]
         if len(alive) == 1:
-            return Name(alive[0].path, alive[0].reference)
+            return alive[0]
         where = ", ".join(service.address for service in self.services)
         if alive:
-            paths = ", ".join(entry.path for entry in alive)
+            paths = ", ".join(name.path for name in alive)
             text = f"component {path!r} is there several times: {paths}; give one whole path"
             raise BridgeError(text, FailureReason.NOT_FOUND)
-        for entry in seen:
-            if entry.condition == "hung":
-                raise BridgeTimeoutError(f"component {entry.path!r} does not answer")
+        for name, condition in seen:
+            if condition == "hung":
+                raise BridgeTimeoutError(f"component {name.path!r} does not answer")
         if seen:
-            text = f"component {seen[0].path!r} is dead: only its name is left"
+            text = f"component {seen[0][0].path!r} is dead: only its name is left"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         if unreadable is not None:
             raise unreadable
-        meant = did_you_mean(path, [entry.path for entry in every])
+        meant = did_you_mean(path, [name.path for name, _ in every])
         text = f"there is no component {path!r} in {where}{meant}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
 
@@ -286,8 +278,6 @@ class _WatchedName:
     """A name, and what was found behind it; None: it was not looked at yet.
 
     Attributes:
-        owner: whose it is.
-        name: with the reference.
         is_known: whether it was there from the beginning, which is no news.
         is_dead: nothing was behind it at the last look.
         unconfirmed: naming services to be read before it counts as dead. One that leaves ends its
@@ -311,8 +301,6 @@ class _WatchedService:
     """A naming service, and what it says; one that hangs holds up no other.
 
     Attributes:
-        owner: whose it is.
-        service: that is asked.
         names: that it gave last; None: it was not asked yet.
         failure: why it does not answer, "" where it does.
     """
@@ -332,8 +320,6 @@ class DirectoryMonitor:
     """Which components are there, compared with before. Each is looked at on its own.
 
     Args:
-        directory: names and what stands behind them.
-        report: that of the bridge.
         own: path to leave out: the bridge's own component.
         follow: has a check made next.
     """
@@ -423,7 +409,7 @@ class DirectoryMonitor:
     def look(self, watched: _WatchedName) -> None:
         """Find out what is behind a name now, and report it where that has changed."""
         path = watched.name.path
-        is_now = self._directory.look(watched.name).condition
+        is_now = self._directory.condition(watched.name)
         with self._guard:
             if (self._names or {}).get(path) is not watched:
                 return  # it has left, or is another component's now

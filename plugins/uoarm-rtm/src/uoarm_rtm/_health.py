@@ -16,7 +16,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
-from typing import Protocol
 
 from attrs import define, evolve, field, frozen
 
@@ -53,9 +52,7 @@ class PortStatus:
     """What a check found at one end of a connection. Times are in seconds of one clock.
 
     Attributes:
-        fault: what is wrong.
         cause: what to say of the port.
-        state: of the component.
         asked_at: when its component was asked.
         wrong_at: what is wrong was so then, or began later.
     """
@@ -165,8 +162,6 @@ class ConnectorHealth:
     `lost` is why it is lost, empty before that.
 
     Args:
-        channel: the channel that it belongs to.
-        remote: the port at this end.
         stale_after: seconds without a message that count as a loss; None for any number.
     """
 
@@ -301,32 +296,17 @@ class LinkHealth:
         self._ends[end].take(evolve(found, cause=text))
 
 
-class CheckedHealth(Protocol):
-    """What takes the checks of a channel: that of its one end, or of both."""
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether that was reported: there is nothing to add."""
-
-    def judge(self, end: int, status: PortStatus) -> bool:
-        """Report what a check found at one end; returns whether the other is to be asked first."""
-
-
 @define(eq=False)
 class WatchedPort:
     """One end of a channel's connection.
 
     Attributes:
-        channel: that is open there.
-        health: of the channel.
-        remote: the port.
-        connector: the connection.
         end: which of its ports this one is.
         other: the component at the other end, which may be to blame.
     """
 
     channel: Channel
-    health: CheckedHealth
+    health: ConnectorHealth | LinkHealth
     remote: RemotePort
     connector: Connector
     end: int = 0
@@ -358,9 +338,7 @@ class WatchedComponent:
     """A component in which channels are open: asked once for all of them.
 
     Args:
-        peer: the component.
         seconds: limit of each call.
-        ticker: makes the checks.
     """
 
     def __init__(self, peer: PeerComponent, seconds: float, ticker: Ticker) -> None:

@@ -281,10 +281,6 @@ def end_leftovers(orb: Orb, seconds: float) -> int:
 
     Those whose component hangs are left in the journal, for the next process. Blocks for the
     limits of two calls at most, however many there are.
-
-    Args:
-        orb: the ORB to call through.
-        seconds: limit of each call.
     """
     ended = 0
     deadline = time.monotonic() + seconds

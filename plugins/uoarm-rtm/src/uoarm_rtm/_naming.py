@@ -97,7 +97,6 @@ class NamingService:
     What they ask may be asked twice, and is, where the service has been restarted meanwhile.
 
     Args:
-        orb: the ORB to call through.
         address: corbaloc, IOR or `host:port`.
         seconds: limit of one call.
     """

@@ -130,7 +130,6 @@ class Observers:
     """The observers of one bridge: one in each component that an open channel leads to.
 
     Args:
-        orb: where they are served.
         name: of the bridge, which they carry.
         seconds: limit of each call.
         soon: has a check made before its turn, in another thread.

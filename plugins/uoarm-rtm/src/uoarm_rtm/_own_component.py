@@ -28,7 +28,7 @@ from uoarm_rtm._types import Types
 from uoarm_rtm.component import Callbacks, ComponentProfile, RtComponent
 
 
-class _OwnSource(Source):
+class OwnSource(Source):
     """An InPort of ours: what others write to it is delivered, one message at a time."""
 
     def __init__(
@@ -82,7 +82,7 @@ class _OwnSource(Source):
         self._own.component.remove_port(self._port)
 
 
-class _OwnSink(Sink):
+class OwnSink(Sink):
     """An OutPort of ours: what is sent goes to every connected port."""
 
     def __init__(self, own: OwnComponent, endpoint: Endpoint, name: str, type_id: str) -> None:
@@ -112,12 +112,9 @@ class OwnComponent:
     """The component of a bridge: made, bound and activated with its first port.
 
     Args:
-        orb: where it is served.
         name: its name; bound as `NAME.rtc`.
         services: naming services to be visible in.
-        types: the bridge's types.
         seconds: limit of calls to other components.
-        report: that of the bridge.
 
     Raises:
         BridgeError: no naming service answers.
@@ -135,7 +132,7 @@ class OwnComponent:
         self.types, self.orb, self.report, self.seconds = types, orb, report, seconds
         self._services = services
         self.is_active = True
-        self._sources: dict[_OwnSource, None] = {}
+        self._sources: dict[OwnSource, None] = {}
         # Guards `_closed` while the name is looked up and bound, from `close` in another thread.
         self._binding = threading.Lock()
         self._closed = False
@@ -150,12 +147,12 @@ class OwnComponent:
         with on_failure(self.component.close):
             self._bind()
 
-    def enter(self, source: _OwnSource) -> None:
+    def enter(self, source: OwnSource) -> None:
         """Have a source notified whenever it is activated or deactivated; now, where it is not."""
         self._sources[source] = None  # before the look, so that no change passes between
         source.judge()
 
-    def leave(self, source: _OwnSource) -> None:
+    def leave(self, source: OwnSource) -> None:
         """Notify a source no more."""
         self._sources.pop(source, None)
 
@@ -163,14 +160,6 @@ class OwnComponent:
         self.is_active = is_active
         for source in list(self._sources):
             source.judge()
-
-    def source(self, endpoint: Endpoint, name: str, type_id: str, deliver: Delivery) -> Source:
-        """Open an InPort of ours."""
-        return _OwnSource(self, endpoint, name, type_id, deliver)
-
-    def sink(self, endpoint: Endpoint, name: str, type_id: str) -> Sink:
-        """Open an OutPort of ours."""
-        return _OwnSink(self, endpoint, name, type_id)
 
     def service(
         self,

@@ -202,7 +202,6 @@ class Connections:
     """Makes the connectors of one bridge; the first waits until what killed processes left ends.
 
     Args:
-        orb: the ORB to call through.
         name: of the bridge, which connectors carry.
         seconds: limit of each call.
     """
@@ -242,21 +241,8 @@ class Connections:
                 end_leftovers(self._orb, self._seconds)
         references = [limit(end.reference, self._seconds) for end in (port, *others)]
         iors = tuple(self._orb.text(reference) for reference in references)
-        undoing = UndoLimits(self._seconds, self._closed)
-        return Connector(where, {**properties, **self._properties}, references, iors, undoing)
-
-
-@frozen
-class UndoLimits:
-    """For how long an abandoned connection is ended.
-
-    Attributes:
-        seconds: that a component may take to make a connection, from when on it answers.
-        closed: is set when nothing is ended any more.
-    """
-
-    seconds: float
-    closed: threading.Event
+        properties = {**properties, **self._properties}
+        return Connector(where, properties, references, iors, self._seconds, self._closed)
 
 
 class Connector:
@@ -267,7 +253,8 @@ class Connector:
         properties: what the profile asks.
         ports: of the connection, the one that is asked first; calls have their limits.
         iors: of the ports, for the journal.
-        undoing: how it is ended where it may be made later.
+        seconds: that a component may take to make it, from when on it answers.
+        closed: is set when what may be made later is not ended any more.
     """
 
     def __init__(
@@ -276,11 +263,13 @@ class Connector:
         properties: Mapping[str, str],
         ports: list[Any],
         iors: tuple[str, ...],
-        undoing: UndoLimits,
+        seconds: float,
+        closed: threading.Event,
     ) -> None:
         self.id = f"uoarm-{uuid.uuid4()}"
         self._ports = ports
         self._where = where
+        self._seconds, self._closed = seconds, closed
         profile = RTC.ConnectorProfile(self.id, self.id, ports, pairs(properties))
         journal().write(JournalEntry(self.id, iors, where))
         try:
@@ -288,10 +277,7 @@ class Connector:
                 code, profile = ports[0].connect(profile)
         except BridgeTimeoutError:
             # Whether it will be connected is unknown: it is disconnected when it wakes up.
-            undo = threading.Thread(
-                target=self._undo, args=(undoing,), name="uoarm-rtm-undo", daemon=True
-            )
-            undo.start()
+            threading.Thread(target=self._undo, name="uoarm-rtm-undo", daemon=True).start()
             raise
         except BridgeError:
             self._discard()
@@ -342,7 +328,7 @@ class Connector:
             return  # the ORB has ended before
         journal().erase(self.id)
 
-    def _undo(self, undoing: UndoLimits) -> None:
+    def _undo(self) -> None:
         """End a connection that may be made only later.
 
         The request to end it may overtake the one that makes it, as they come through different
@@ -361,10 +347,10 @@ class Connector:
                 return  # the ORB has ended; the journal has it for the next process
             else:
                 if not answers:
-                    answers, until = True, min(until, time.monotonic() + undoing.seconds)
+                    answers, until = True, min(until, time.monotonic() + self._seconds)
             if is_over or (answers and time.monotonic() >= until):
                 break
-            if time.monotonic() >= until or undoing.closed.wait(_UNDO_BACKOFF.pause(attempt)):
+            if time.monotonic() >= until or self._closed.wait(_UNDO_BACKOFF.pause(attempt)):
                 return
         journal().erase(self.id)
 

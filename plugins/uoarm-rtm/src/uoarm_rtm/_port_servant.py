@@ -136,7 +136,6 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
     Must implement: `_publish`, `_subscribe`, `_release`. May implement: `_quiesce`.
 
     Args:
-        orb: where the port is served.
         name: `COMPONENT.PORT`.
         properties: what the profile says of the port.
         seconds: limit of calls to other ports.

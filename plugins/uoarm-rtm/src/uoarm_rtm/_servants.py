@@ -120,8 +120,6 @@ class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  #
     """A context with one component, running from the start.
 
     Args:
-        orb: where it is served.
-        lifecycle: the component's.
         rate: steps a second; 0 for an event-driven context without a thread.
     """
 
@@ -242,7 +240,6 @@ class ConfigurationServant(SDOPackage__POA.Configuration):  # type: ignore[misc]
     """Device profiles, service profiles and organisations are refused: we have none.
 
     Args:
-        orb: where it is served.
         sets: values by name of the set.
         changed: called with the values in force whenever they change, in a thread of the ORB, once
             at a time.

@@ -99,14 +99,10 @@ class OperationCaller:
     as `ended` says, it connects no more, so that no connection is left behind without a caller.
 
     Args:
-        orb: the ORB to call through.
-        peer: the component.
-        port: its CorbaPort.
         interface: as our IDL has it.
         offer: as the port has it.
         operation: the one to call; empty for that which each request names.
         seconds: limit of connecting.
-        connections: makes the connector.
     """
 
     _orb: Orb
@@ -275,13 +271,7 @@ class ServicePortChannel(Channel):
     """A function of ours, connected to a port of a component that requires it.
 
     Args:
-        orb: where it is served.
-        endpoint: the endpoint served.
-        peer: the component.
-        port: its CorbaPort.
         wanted: the required interface, as the port has it.
-        servant: what answers.
-        connections: makes the connector.
 
     Raises:
         BridgeError: the port refuses; nothing stays connected.

@@ -256,17 +256,11 @@ def _variants(choice: IdlUnion, encoding: str) -> list[dict[str, Any]]:
         labels: dict[str, Any] = {"enum": list(variant.labels)}
         if not variant.labels:
             labels = rest or {"enum": []}
-        schemas.append(_variant(choice, variant, labels, encoding))
+        inner = schema_of(variant.shape, encoding)
+        schemas.append(_object({SWITCH: labels, variant.name: inner}, choice.name))
     if rest is not None and all(variant.labels for variant in choice.variants):
         schemas.append(_object({SWITCH: rest}, choice.name))
     return schemas
-
-
-def _variant(
-    choice: IdlUnion, variant: IdlUnionMember, labels: dict[str, Any], encoding: str
-) -> dict[str, Any]:
-    inner = schema_of(variant.shape, encoding)
-    return _object({SWITCH: labels, variant.name: inner}, choice.name)
 
 
 def _rest(by: IdlScalar | IdlEnum, named: list[object]) -> dict[str, Any] | None:
@@ -296,7 +290,6 @@ class CdrCodec(Codec):
     """Marshals the messages of one type: the body alone, aligned from its first byte.
 
     Args:
-        shape: the type.
         encoding: of narrow strings, `utf-8` or `latin-1`.
         name: what errors call the type.
     """

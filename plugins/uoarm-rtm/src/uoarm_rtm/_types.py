@@ -270,7 +270,7 @@ class Types:
         """Return the id of a type that carries a structure's messages; known from then on.
 
         Raises:
-            BridgeError: as `_derived.derive`.
+            BridgeError: as the function `derive`.
         """
         shape = derive(port, structure, is_read=is_read)
         self._codecs.setdefault(shape.name, codec_of(shape, self._encoding))
@@ -282,7 +282,7 @@ class Types:
         """Return an interface for a service's messages, compiled, and its IDL.
 
         Raises:
-            BridgeError: as `_derived.derive_interface`, or the compiler is not there.
+            BridgeError: as the function `derive_interface`, or the compiler is not there.
         """
         idl, name = derive_interface(port, structures)
         return interfaces(load_idl(idl), self._encoding)[name], idl

@@ -34,10 +34,6 @@ _CONTEXT = 0
 _OK = RTC.RTC_OK
 
 
-def _ignored(values: Mapping[str, str]) -> None:
-    """Take no notice of a configuration."""
-
-
 @frozen
 class ComponentProfile:
     """What a component says of itself."""
@@ -72,7 +68,7 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         *,
         callbacks: Callbacks = Callbacks(),  # noqa: B008 - a frozen value
         rate: float = 0.0,
-        configured: Callable[[Mapping[str, str]], None] | None = None,
+        configured: Callable[[Mapping[str, str]], None] = lambda _: None,
         seconds: float = 2.0,
     ) -> None:
         self.profile = profile
@@ -85,9 +81,7 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         self._bound: list[tuple[NamingService, str]] = []
         self._exiting = threading.Event()
         self._context = ContextServant(orb, self.lifecycle, rate)
-        self._configuration = ConfigurationServant(
-            orb, profile.configuration, configured or _ignored
-        )
+        self._configuration = ConfigurationServant(orb, profile.configuration, configured)
         self.reference = orb.serve(self)
         self._context.component = self.reference
 
