@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import pytest
-from uoarm_ros2._middleware import GoalRequest
+from uoarm_ros2._middleware import GoalRequest, GoalServer
 from uoarm_ros2._offered_actions import GoalTable
 
 
@@ -32,7 +32,7 @@ class Play:
     def __init__(self) -> None:
         self.now = 0.0
         self.clients = Clients()
-        self.table = GoalTable(self.clients, lambda: self.now)
+        self.table = GoalTable(cast("GoalServer", self.clients), lambda: self.now)
         self.table.takes_goals = self.table.gives_results = True
 
     def ask(self, *names: bytes) -> None:

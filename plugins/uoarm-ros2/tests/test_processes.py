@@ -20,7 +20,7 @@ from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import _loop
 from uoarm_ros2._middleware._wait_set import WaitSet
 
-from uoarm.bridge import Bridge, Sink
+from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
 from uoarm.testing import Background, ResourceSnapshot, patience, wait
@@ -328,22 +328,6 @@ def send_until_closed(out: Sink) -> FailureReason:
             out.send({"data": 1})
         except BridgeError as error:
             return error.reason
-
-
-def test_a_bridge_closes_in_time_while_a_receiver_hangs(bridge: Bridge, peer: Start) -> None:
-    talker = peer("talker")
-    talker.do("advertise", topic="/numbers")
-    inside, leave = threading.Event(), threading.Event()
-
-    def hang(_: object) -> None:
-        inside.set()
-        leave.wait(patience())
-
-    source(bridge, endpoint(Role.OUTPUT, "/numbers", INT64), hang)
-    talker.do("publish", topic="/numbers", count=1)
-    assert inside.wait(patience())
-    bridge.close()
-    leave.set()
 
 
 @pytest.mark.parametrize("option", [{"domain_id": -1}, {"domain": 3}, {"executor": "events"}])

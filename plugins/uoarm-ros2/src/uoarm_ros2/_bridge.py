@@ -81,8 +81,6 @@ class SharedEntities:
     Args:
         runner: of the node in whose thread goals of offered actions come, as messages of topics do,
             so that a consumer of goals may call services.
-        graph: of that node.
-        start_replies: starts the node for replies.
     """
 
     def __init__(

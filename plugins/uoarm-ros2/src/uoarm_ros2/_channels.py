@@ -82,7 +82,6 @@ class PublisherSink(Sink):
     rclpy keeps one that is being destroyed until no call uses it.
 
     Args:
-        context: where to publish.
         write: makes the octets that are published of a message.
     """
 
@@ -283,9 +282,7 @@ class SubscriptionSource(Source):
     as long as the publisher is there.
 
     Args:
-        context: where to subscribe.
         read: makes what is delivered of the serialised form; raises MessageError.
-        deliver: takes it.
         definition: of the type, where what is delivered is a message of it.
     """
 
@@ -417,14 +414,7 @@ class SerialisedRelay(NativeLink):
 
 
 class _WatchedEnd:
-    """What has a topic in common with others that ROS 2 connects by itself.
-
-    Args:
-        link: that it is an end of.
-        context: of the end.
-        peers: returns those of a topic that are on the graph.
-        peer_word: what they are.
-    """
+    """What has a topic in common with others that ROS 2 connects by itself."""
 
     def __init__(
         self,

@@ -157,8 +157,6 @@ class EntryHealth:
     """How a component is by the entry that it names; times are in seconds of one clock.
 
     Args:
-        name: of the entry.
-        now: the time.
         timeout: seconds within which it is expected again.
     """
 
@@ -235,8 +233,6 @@ class DiagnosticsReader:
     longer does: as long as the component is asked for once a minute.
 
     Args:
-        runner: subscribes.
-        graph: shows who publishes.
         topic: name of the topic, resolved.
         timeout: seconds within which an entry is expected again.
         report: takes that a refused component may be asked for again: health, cause, component.
@@ -401,11 +397,7 @@ class DiagnosticsReader:
 
 @define(eq=False)
 class EntryLease:
-    """A channel's use of an entry.
-
-    Attributes:
-        name: of the entry.
-    """
+    """A channel's use of an entry."""
 
     name: str
     _diagnostics: DiagnosticsReader

@@ -455,8 +455,6 @@ class ManagedNodes:
     """All nodes that components of one bridge stand on; thread safe.
 
     Args:
-        access: how they are reached.
-        graph: where they are waited for.
         resolve: makes a full name of one that may be relative.
     """
 

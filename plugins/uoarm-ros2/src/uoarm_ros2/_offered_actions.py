@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from attrs import define
 
@@ -19,7 +19,7 @@ from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Message
 from uoarm_ros2._conversion import reader, writer
-from uoarm_ros2._middleware import GoalRequest, NodeRunner
+from uoarm_ros2._middleware import GoalRequest, GoalServer, NodeRunner
 from uoarm_ros2._schema import action_records
 from uoarm_ros2._services import ServedFunction
 from uoarm_ros2._types import import_type
@@ -30,22 +30,6 @@ _MOST_EARLY = 64
 _ANSWER_SECONDS = 10.0
 _RESULT_SECONDS = 2.0
 _ENDS = frozenset({"succeeded", "canceled", "aborted"})
-
-
-class GoalResponder(Protocol):
-    """Sends clients the answers, feedback and ends of their goals."""
-
-    def accept(self, request: GoalRequest) -> None:
-        """Answer a goal's client that it is accepted."""
-
-    def reject(self, request: GoalRequest) -> None:
-        """Answer a goal's client that it is rejected."""
-
-    def feed(self, goal_id: bytes, feedback: Any) -> None:
-        """Publish feedback."""
-
-    def end(self, goal_id: bytes, status: str, result: Any = None) -> None:
-        """End a goal with its result."""
 
 
 @define(eq=False)
@@ -72,13 +56,9 @@ class GoalTable:
     Every goal that was asked is answered, and every one that was accepted ends once: with what the
     function says; as aborted when it is `lost`, or when the offer goes; with the type's own values
     where the function says how a goal ended and gives no result within two seconds.
-
-    Args:
-        server: sends the answers.
-        clock: a monotonic clock, in seconds.
     """
 
-    def __init__(self, server: GoalResponder, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, server: GoalServer, clock: Callable[[], float] = time.monotonic) -> None:
         self._server = server
         self._clock = clock
         # Guards all tables, between the runner's thread (new goals, `tick`) and those in which the
@@ -231,8 +211,6 @@ class OfferedAction:
 
     Args:
         runner: where it is offered; goals and cancellations are handed over in its thread.
-        name: the full name.
-        type_name: the action's type.
     """
 
     def __init__(self, runner: NodeRunner, name: str, type_name: str) -> None:

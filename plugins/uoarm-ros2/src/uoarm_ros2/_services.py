@@ -44,7 +44,6 @@ class ServerComparison:
     """Compares the servers of some services, those of one action, with a client of ours.
 
     Args:
-        runner: in which the client is.
         what: the client is of, for the text.
         services: the full names.
     """
@@ -209,12 +208,8 @@ class OtherServers:
     started in its place. So only servers that are there for longer count.
 
     Args:
-        runner: of a node of ours.
-        own: returns the names of our nodes.
         name: the full name that is served, for the cause.
         service: the full name of the service to look at: of an action, one of those behind it.
-        report: takes changes of health.
-        clock: seconds.
     """
 
     _runner: NodeRunner
@@ -270,13 +265,7 @@ class ServedFunction(Channel, Generic[T]):
     Must implement: `_serve`, `_answer`, `_refuse`, `_close`.
 
     Args:
-        runner: where it is offered.
-        endpoint: as it was configured.
-        name: the full name.
-        type_name: of the service or the action.
         handler: called by `at_once` threads at most.
-        at_once: how many.
-        report: takes changes of health.
     """
 
     def __init__(

@@ -79,8 +79,6 @@ class TopicEndpoint(ABC):
     `close` happens in the opening thread, then in the runner's.
 
     Args:
-        context: where it is.
-        health: takes what happens to peers.
         receives: whether publishers are the peers, whose deadlines promise messages.
 
     Attributes:

@@ -271,8 +271,6 @@ class FrameLookups:
     A topic is subscribed to from the first look-up on, until there was none for a minute.
 
     Args:
-        runner: subscribes to the topics.
-        graph: shows their publishers.
         find: returns the class of a type that a topic carries; takes both names.
     """
 

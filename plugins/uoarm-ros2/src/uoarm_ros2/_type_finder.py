@@ -214,7 +214,6 @@ class TypeFinder:
 
     Args:
         ask: asks the node of a full name for the description of a type; raises BridgeError.
-        peers: returns the ends of a topic.
         defined: what the folders of the bridge define.
     """
 

@@ -151,9 +151,7 @@ class RecordType:
 
     Attributes:
         name: `package/msg/Name`.
-        native: the Python class.
         fields: members in the order of the definition.
-        constants: named constants of the definition.
     """
 
     name: str

@@ -49,14 +49,10 @@ class GoalRequest:
 class GoalServer:
     """The three services, two topics and the timer of one action, over rclpy's handles.
 
-    rclpy's own `ActionServer` runs goals as tasks of an executor, of which there is none here. The
-    C library of actions has no locks: every use of the handle but the publishing of feedback holds
-    `_lock`, and nothing that is handed on is called with it. Once it is destroyed no
-    client is answered: a function may end a goal while its offer closes.
+    rclpy's own `ActionServer` runs goals as tasks of an executor, of which there is none here.
+    Once it is destroyed no client is answered: a function may end a goal while its offer closes.
 
     Args:
-        node: rclpy's node.
-        native: the action's type.
         name: its full name.
         ask: takes each goal, which is answered by `accept` or `reject`, from any thread.
         may_cancel: says of a goal's id whether its end may be asked for at all.
@@ -80,6 +76,7 @@ class GoalServer:
         self._cancel = cancel
         # The C library of actions has no locks: guards every use of the handle but the publishing
         # of feedback, and the tables of goals, from the runner's thread and those that end goals.
+        # Nothing that is handed on is called with it.
         self._lock = threading.Lock()
         self._is_destroyed = False
         self._ready: tuple[bool, ...] = ()

@@ -32,8 +32,6 @@ class QuietWatch:
     It takes nothing from them: what is ready stays so, and would be notified again and again.
 
     Args:
-        context: rclpy's context.
-        name: of the thread.
         notify: takes what is ready, in this thread; must not block.
     """
 
@@ -141,7 +139,6 @@ class WaitLoop:
     every wait for its messages.
 
     Args:
-        context: rclpy's context.
         name: of what it belongs to, for threads.
         quiet: whether failures need no report any more, as while everything ends.
     """
