@@ -62,6 +62,10 @@ class Master:
             self._process.wait()
             self._process = None
 
+    def end(self) -> None:
+        """End its process."""
+        self.kill()
+
     def send_signal(self, number: int) -> None:
         assert self._process is not None
         self._process.send_signal(number)
@@ -114,7 +118,6 @@ class RestartingMaster(Master):
         wait(lambda: not self._listens(), "the master keeps its port")
 
     def end(self) -> None:
-        """End its process."""
         assert self._process is not None
         self._process.kill()
         self._process.communicate()
@@ -161,15 +164,15 @@ class Peer(AnsweringProgram):  # type: ignore[misc]  # the harness is not on its
 
 
 @contextmanager
-def running(folder: Path) -> Iterator[Master]:
+def running(folder: Path, kind: type[Master] = Master) -> Iterator[Master]:
     """A master while a block runs."""
-    master = Master(folder)
+    master = kind(folder)
     master.start()
     try:
         yield master
     finally:
         master.end_peers()
-        master.kill()
+        master.end()
 
 
 def compiler() -> str | None:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -140,22 +143,28 @@ def test_a_server_that_cannot_be_resolved_or_reached_is_named_with_what_to_set(
             assert "ROS_HOSTNAME" in str(caught.value) or "ROS_IP" in str(caught.value)
 
 
-def test_a_parameter_is_watched_over_the_death_of_its_master(tmp_path: Any) -> None:
-    with running(tmp_path / "master") as world:
-        peer = world.peer("setting")
+@contextmanager
+def watched_speed(folder: Path) -> Iterator[tuple[Master, Peer, Any, Collector]]:
+    """A master, a node that sets its parameter /speed, 1 at first, and a bridge that watches it."""
+    with running(folder / "master") as world:
+        peer, collector = world.peer("setting"), Collector()
         peer.do("set_param", name="/speed", value=1)
         with bridge_to(world) as bridge:
-            reports, collector = Inbox(bridge), Collector()
             bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
             assert collector.wait(1) == [1]
-            known: Any = bridge
-            wait(lambda: known._master_health.is_up, "the master was not asked")
-            world.kill()
-            reports.event(Health.DEGRADED, world.host)
-            world.start()
-            reports.event(Health.OK, "answers again")
-            peer.do("set_param", name="/speed", value=2)
-            assert collector.wait(2) == [1, 2]
+            yield world, peer, bridge, collector
+
+
+def test_a_parameter_is_watched_over_the_death_of_its_master(tmp_path: Any) -> None:
+    with watched_speed(tmp_path) as (world, peer, bridge, collector):
+        reports = Inbox(bridge)
+        wait(lambda: bridge._master_health.is_up, "the master was not asked")
+        world.kill()
+        reports.event(Health.DEGRADED, world.host)
+        world.start()
+        reports.event(Health.OK, "answers again")
+        peer.do("set_param", name="/speed", value=2)
+        assert collector.wait(2) == [1, 2]
 
 
 def test_what_is_opened_before_the_look_at_a_new_master_hides_nothing_from_it(
@@ -179,51 +188,39 @@ def test_what_is_opened_before_the_look_at_a_new_master_hides_nothing_from_it(
 def test_a_master_that_comes_back_with_its_process_is_another(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world = RestartingMaster(tmp_path / "master")
-    world.start()
-    try:
-        with bridge_to(world) as bridge:
-            watching: Any = bridge
-            bridge.open_source(output("/before", INT, peer="optional"), ANY, print)
-            wait(lambda: watching._master_health.is_up, "the master was not asked")
-            world.kill()
-            wait(lambda: not watching._master_health.is_up, "it is not missed")
-            is_between = threading.Event()
-            monkeypatch.setattr(bridge, "_look_at_master", is_between.set)
-            assert is_between.wait(patience())
-            world.start()
-            bridge.open_source(output("/since", INT, peer="optional"), ANY, print)
-            assert watching._node.is_known()
-            monkeypatch.undo()
-            wait(lambda: "/before" in registered(watching._node), "it is not known")
-    finally:
-        world.end()
+    with running(tmp_path / "master", RestartingMaster) as world, bridge_to(world) as bridge:
+        watching: Any = bridge
+        bridge.open_source(output("/before", INT, peer="optional"), ANY, print)
+        wait(lambda: watching._master_health.is_up, "the master was not asked")
+        world.kill()
+        wait(lambda: not watching._master_health.is_up, "it is not missed")
+        is_between = threading.Event()
+        monkeypatch.setattr(bridge, "_look_at_master", is_between.set)
+        assert is_between.wait(patience())
+        world.start()
+        bridge.open_source(output("/since", INT, peer="optional"), ANY, print)
+        assert watching._node.is_known()
+        monkeypatch.undo()
+        wait(lambda: "/before" in registered(watching._node), "it is not known")
 
 
 def test_a_parameter_that_is_not_set_any_more_is_degraded_until_it_is(tmp_path: Any) -> None:
-    with running(tmp_path / "master") as world:
-        peer = world.peer("setting")
-        peer.do("set_param", name="/speed", value=1)
-        with bridge_to(world) as bridge:
-            collector = Collector()
-            bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
-            assert collector.wait(1) == [1]
-            known: Any = bridge
-            wait(lambda: known._master_health.is_up, "the master was not asked")
+    with watched_speed(tmp_path) as (world, peer, bridge, collector):
+        wait(lambda: bridge._master_health.is_up, "the master was not asked")
 
-            def start_again() -> None:
-                world.kill()
-                world.start()
+        def start_again() -> None:
+            world.kill()
+            world.start()
 
-            for number, go in enumerate(
-                (lambda: peer.do("delete_param", name="/speed"), start_again), 2
-            ):
-                reports = Inbox(bridge)
-                go()
-                reports.event(Health.DEGRADED, "the parameter /speed is not set any more")
-                peer.do("set_param", name="/speed", value=1)
-                reports.event(Health.OK, "the parameter /speed is set again")
-                assert collector.wait(number) == [1] * number
+        for number, go in enumerate(
+            (lambda: peer.do("delete_param", name="/speed"), start_again), 2
+        ):
+            reports = Inbox(bridge)
+            go()
+            reports.event(Health.DEGRADED, "the parameter /speed is not set any more")
+            peer.do("set_param", name="/speed", value=1)
+            reports.event(Health.OK, "the parameter /speed is set again")
+            assert collector.wait(number) == [1] * number
 
 
 def test_a_change_of_a_parameter_that_is_more_than_a_call_may_hold_is_looked_at(
@@ -295,9 +292,7 @@ def test_a_master_whose_process_has_the_number_of_the_one_before_is_known_by_its
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As in a container, where a node opens something between two looks at the master."""
-    world = RestartingMaster(tmp_path / "master")
-    world.start()
-    try:
+    with running(tmp_path / "master", RestartingMaster) as world:
         set_run = partial(call_api, world.uri, "setParam", "/roslaunch", "/run_id")
         set_run("first")
         with bridge_to(world) as bridge:
@@ -314,52 +309,36 @@ def test_a_master_whose_process_has_the_number_of_the_one_before_is_known_by_its
             assert "/before" not in registered(watching._node)
             monkeypatch.undo()
             wait(lambda: "/before" in registered(watching._node), "it is not known")
-    finally:
-        world.end()
 
 
 def test_a_parameter_that_is_found_twice_was_set_once(tmp_path: Any) -> None:
     """The look at the master finds a channel that is being opened, and registers it, too."""
-    with running(tmp_path / "master") as world:
-        peer = world.peer("setting")
-        peer.do("set_param", name="/speed", value=1)
-        with bridge_to(world) as bridge:
-            collector = Collector()
-            bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
-            assert collector.wait(1) == [1]
-            known: Any = bridge
-            known._node.register_again()
-            peer.do("set_param", name="/speed", value=2)
-            assert collector.wait(2) == [1, 2]
+    with watched_speed(tmp_path) as (_, peer, bridge, collector):
+        bridge._node.register_again()
+        peer.do("set_param", name="/speed", value=2)
+        assert collector.wait(2) == [1, 2]
 
 
 def test_a_parameter_that_is_set_as_a_new_master_is_found_without_it_was_set_once(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The master reports what is set after the registration, which found nothing."""
-    with running(tmp_path / "master") as world:
-        peer = world.peer("setting")
-        peer.do("set_param", name="/speed", value=1)
-        with bridge_to(world) as bridge:
-            collector = Collector()
-            bridge.open_source(output("/speed", "parameter"), ANY, collector.deliver)
-            assert collector.wait(1) == [1]
-            node: Any = cast("Any", bridge)._node
-            watch = node.master.watch_parameter
+    with watched_speed(tmp_path) as (world, peer, bridge, collector):
+        watch = bridge._node.master.watch_parameter
 
-            def set_meanwhile(key: str) -> Any:
-                found = watch(key)
-                if found == {}:
-                    peer.do("set_param", name=key, value=2)
-                    collector.wait(2)
-                return found
+        def set_meanwhile(key: str) -> Any:
+            found = watch(key)
+            if found == {}:
+                peer.do("set_param", name=key, value=2)
+                collector.wait(2)
+            return found
 
-            monkeypatch.setattr(node.master, "watch_parameter", set_meanwhile)
-            world.kill()
-            world.start()
-            assert collector.wait(2) == [1, 2]
-            peer.do("set_param", name="/speed", value=3)
-            assert collector.wait(3) == [1, 2, 3]
+        monkeypatch.setattr(bridge._node.master, "watch_parameter", set_meanwhile)
+        world.kill()
+        world.start()
+        assert collector.wait(2) == [1, 2]
+        peer.do("set_param", name="/speed", value=3)
+        assert collector.wait(3) == [1, 2, 3]
 
 
 def test_what_is_taken_back_while_it_is_registered_does_not_stay(

@@ -549,21 +549,6 @@ def test_a_subscriber_that_reads_nothing_holds_up_no_other(master: Master, lasti
         lasting.wait_for("count", lambda count: count == 201, topic="/much")
 
 
-def test_connections_and_kills_leave_nothing_behind(master: Master, lasting: Peer) -> None:
-    lasting.do("advertise", topic="/counted", type=INT)
-    with bridge_to(master, rosout=False) as bridge:
-
-        def cycle() -> None:
-            source, _ = opened(bridge, output("/counted"))
-            source.close()
-
-        cycle()
-        snapshot = ResourceSnapshot()
-        for _ in range(100):
-            cycle()
-        snapshot.check(patience())
-
-
 def test_a_thousand_connections_and_kills_leave_nothing_behind(master: Master) -> None:
     with bridge_to(master, rosout=False) as bridge:
         sink = bridge.open_sink(input_("/kills", INT, peer="optional", latch=True), ANY)

@@ -269,7 +269,6 @@ class _Served:
     Attributes:
         goal_id: as its client gave it.
         status: as actionlib numbers it.
-        text: that goes with it.
         until: when it is forgotten, once it has ended.
     """
 

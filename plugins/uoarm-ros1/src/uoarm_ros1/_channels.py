@@ -42,12 +42,8 @@ class TopicPlace:
     """What a channel on a topic stands on.
 
     Attributes:
-        node: of the bridge.
-        endpoint: where it is.
         topic: its full name.
-        port: the endpoint's options.
         wait: seconds to wait for the other end.
-        report: has a channel's health reported.
         clock: returns the seconds by which messages are waited for.
     """
 

@@ -29,7 +29,6 @@ class Graph:
     """What the master and the nodes answer, each question asked once: for one step of a bridge.
 
     Args:
-        node: that asks.
         since: what the master was asked since then it is not asked again; None: the time of each
             question.
     """

@@ -54,12 +54,10 @@ class Node:
 
     Args:
         identity: its name, and where its master is.
-        options: of the bridge.
         ended: is called, with the reason, when the master or an operator asks the node to end.
 
     Attributes:
         name: its full name.
-        master: where it is registered.
         peers: the APIs of the nodes that it is connected to.
         loop: that watches its sockets.
         stamp: returns the time as headers have it: this machine's, or that of /clock.

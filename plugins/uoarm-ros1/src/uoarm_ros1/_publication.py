@@ -150,10 +150,7 @@ class TopicPublication:
     """One topic, with one type.
 
     Args:
-        loop: that watches the connections.
         caller: the node's own name.
-        topic: its full name.
-        record: of its messages.
         latch: how many of the last messages are given to each subscriber that comes.
         limits: messages, and octets, that may wait for one subscriber.
 

@@ -219,7 +219,6 @@ class NodeServer:
     """Two listening sockets of one address.
 
     Args:
-        loop: that watches them.
         address: on which they listen.
         answer: makes of a method and its arguments what it returns; in the loop's thread.
         unread: takes the body of a call that cannot be read; in the loop's thread.

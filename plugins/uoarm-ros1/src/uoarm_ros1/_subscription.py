@@ -318,8 +318,6 @@ class TopicSubscription:
     """One topic, kept connected to the publishers that the master names.
 
     Args:
-        wanted: what it takes.
-        peers: the APIs of publishers.
         take: takes the octets of messages and the name of their node, in the thread of each
             publisher.
         came: is called when a publisher is connected, with its header.
