@@ -417,20 +417,6 @@ class TestServices:
             bridge.call(place, {})
         assert not isinstance(caught.value, BridgeTimeoutError)
 
-    def test_a_call_that_waits_for_its_reply_ends_as_the_bridge_closes(
-        self, bridge: Bridge, peer: Peer
-    ) -> None:
-        asked = threading.Event()
-        peer.serve("slow/service", lambda _: asked.set())  # and no reply
-        place = endpoint("slow/service", Role.SERVICE)
-        call = Background(lambda: bridge.call(place, 1, timeout=2 * patience()))
-        assert asked.wait(patience())
-        link: Any = bridge
-        wait(lambda: not link._broker._pending, "the broker did not take it")
-        bridge.close(timeout=patience())
-        with pytest.raises(BridgeError, match="the bridge was closed"):
-            call.result()
-
     def test_a_reply_that_answers_no_call_is_named_where_one_is_waited_for(
         self, broker: Broker, peer: Peer, monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -111,16 +111,6 @@ def test_a_call_that_an_emergency_stop_ends_is_cancelled(broker: Broker) -> None
         assert driver.done == []
 
 
-def test_a_call_that_is_under_way_ends_as_the_bridge_closes(broker: Broker) -> None:
-    with driven(broker, "left", "b") as driver, bridge_to(broker) as bridge:
-        place, order = endpoint("left", "transport"), goal("a", "b")
-        call = Background(lambda: bridge.call(place, order, timeout=2 * patience()))
-        wait(lambda: not driver.vehicle.is_idle, "the vehicle has no order")
-        bridge.close(timeout=patience())
-        with pytest.raises(BridgeError, match=r"the bridge was closed|ended canceled"):
-            call.result()
-
-
 def test_what_the_vehicle_refuses_is_reported(broker: Broker) -> None:
     place, order = endpoint("refusing", "transport"), goal("a", "b", b="dance")
     refusal = pytest.raises(BridgeError, match=r"rejected: .*orderError.*no such actions: dance")

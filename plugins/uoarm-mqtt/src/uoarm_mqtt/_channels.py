@@ -78,13 +78,7 @@ class MqttSource(Source):
     retained on its topic: nothing stands of it any more.
 
     Args:
-        endpoint: where it is open.
         topic: or a filter.
-        options: of the topic.
-        codec: reads what comes.
-        link: to the broker.
-        deliver: takes the messages.
-        report: takes how the source is.
         latched: whether the last messages stand; None: where the broker retains them.
     """
 

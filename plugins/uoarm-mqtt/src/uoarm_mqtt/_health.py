@@ -90,7 +90,6 @@ class Components:
     """Which components are there, by their own word: retained topics, watched once asked for.
 
     Args:
-        link: to the broker.
         wait: seconds that a retained message may take beyond the broker's own answer.
         report: is called with a component's name, health and cause when it comes or goes.
     """

@@ -302,7 +302,6 @@ class BrokerCredentials:
 
     Attributes:
         user: that the broker knows, "" for none.
-        password: of the user.
         context: for TLS; None without it.
     """
 
@@ -316,8 +315,6 @@ class ConnectionOptions:
     """How to connect to a broker, read from options. The password is in no text of it.
 
     Attributes:
-        host: of the broker.
-        port: of the broker.
         client_id: two clients with the same one end each other's connection.
         credentials: reads what the broker is shown, for each attempt to connect.
         keepalive: seconds after which a broker that says nothing is asked whether it lives.

@@ -18,8 +18,6 @@ class ReceivedMessage:
     """A message as it came.
 
     Attributes:
-        topic: that it was published on.
-        payload: its octets.
         retain: whether it comes because something was subscribed to, and was published before.
         properties: of MQTT 5, as attributes.
     """

@@ -189,12 +189,7 @@ class ActionHub:
 
 
 class CallRunner:
-    """Calls one function for one client.
-
-    Args:
-        place: the function.
-        backend: where it is called.
-    """
+    """Calls one function for one client."""
 
     def __init__(self, place: NamedPort, backend: Backend) -> None:
         self._place = place
@@ -252,9 +247,6 @@ class Actions:
     Other names are actions between clients.
 
     Args:
-        client: its limits and its outbox.
-        backend: where functions are opened.
-        hub: where clients meet.
         fail: reports to the client what went wrong with a message of its.
         send: sends another client's request; raises BusyError where it leaves too much unread.
     """

@@ -85,11 +85,7 @@ class SharedPublication:
     after its check. Short ones are checked at once, long ones in a worker.
 
     Args:
-        name: of the topic.
         kind: the type that the client states; empty: that of the topic, where others stated one.
-        hub: where clients publish to one another.
-        backend: knows types.
-        client: who publishes.
 
     Raises:
         MessageError: other publishers of the topic state another type.

@@ -38,12 +38,7 @@ _MOST_TYPES = 20_000  # clients may publish half as many topics, each of a type 
 
 
 class RosapiCatalogue:
-    """What rosapi answers of the whole robot, for all clients of one server.
-
-    Args:
-        backend: of the robot.
-        hub: what clients offer to one another.
-    """
+    """What rosapi answers of the whole robot, for all clients of one server."""
 
     def __init__(self, backend: Backend, hub: Hub) -> None:
         self._backend = backend

@@ -113,7 +113,6 @@ class ListedFunction:
     """One function with the structures that it has now, and what was computed of these.
 
     Args:
-        function: one of the robot.
         structures: by port.
     """
 
@@ -147,8 +146,6 @@ class RosapiAnswers:
 
     Args:
         role: sees what its clients are shown.
-        listed: all functions.
-        hub: what clients offer to one another.
         types: native types that were looked up; None: no plugin knows it.
 
     Attributes:

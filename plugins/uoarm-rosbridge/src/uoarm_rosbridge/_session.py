@@ -71,10 +71,6 @@ class ClientServices:
     """Calls and answers of one client, in the loop's thread.
 
     Args:
-        client: its limits and its rights.
-        backend: where functions are called.
-        hub: where clients call one another.
-        rosapi: answers what the client asks of the robot.
         addresses: of functions, which clients may call by them.
         send: sends one message to the client, in fragments of a size, 0 for none.
         ask: sends another client's request; raises BusyError where it leaves too much unread.

@@ -145,7 +145,6 @@ class RosbridgeSubscription(Subscription):
         kind: of the topic's messages.
         identity: of the first subscribe message.
         options: of that message.
-        client: who listens.
         structure: says what the messages are like, for `cbor-raw`.
         on_refused: called once with each reason for which a message could not be written.
         on_end: called with why no more will come.
@@ -249,9 +248,6 @@ class Topics:
     """Publications and subscriptions of one client by topic, in the loop's thread.
 
     Args:
-        client: its limits and its outbox.
-        backend: where functions are opened.
-        hub: where clients publish to one another.
         addresses: of functions, which clients may ask for by them.
         fail: reports to the client what went wrong with a message of its.
         warn: reports to the client what it should know of a message of its.

@@ -55,7 +55,6 @@ class VehicleFollower:
     """Follows one vehicle in a thread of its own, from its opening on.
 
     Args:
-        link: to the broker.
         topic: of the vehicle's, up to the last level.
         transport: what becomes of its orders; touched under the lock only.
         state_timeout: seconds without a state that can be read after which that is reported.

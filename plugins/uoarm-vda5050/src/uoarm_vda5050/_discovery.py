@@ -25,10 +25,7 @@ class VehicleDirectory:
     """Describes the ports of vehicles, and lists the vehicles that are there.
 
     Args:
-        bridge: its name.
-        link: to the broker.
         prefix: first levels of every topic.
-        published: the structures of topics.
         codec: reads factsheets.
     """
 

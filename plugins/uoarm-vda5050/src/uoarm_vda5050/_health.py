@@ -43,9 +43,7 @@ class Presence:
     """Watches the connection topics of all vehicles, once anything is asked of it.
 
     Args:
-        link: to the broker.
         prefix: first levels of every topic.
-        release: that the vehicles speak.
         wait: seconds that a retained message may take beyond the broker's own answer.
         most: vehicles that are kept track of.
         on_health: is called with a component's name, health and cause when it comes or goes.

@@ -59,7 +59,6 @@ class VdaCodec(PayloadCodec):
     """JSON with a header, which is no part of the message unless it is asked for.
 
     Attributes:
-        release: that is spoken.
         topic: last level of the topic.
         headers: of what is written; None where nothing is.
         check: of whole messages.

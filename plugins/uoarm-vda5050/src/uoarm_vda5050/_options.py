@@ -81,8 +81,6 @@ class VehicleAddress:
     """What an address stands for.
 
     Attributes:
-        manufacturer: of the vehicle.
-        serial_number: of the vehicle.
         topic: one of the standard, or `transport`.
         part: of a transport order; empty for a call of it, and for a topic.
         header: whether messages keep their header.

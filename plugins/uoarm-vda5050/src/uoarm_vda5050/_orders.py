@@ -30,7 +30,6 @@ class Order:
     """An order as it is sent, with what has to be known to follow it.
 
     Attributes:
-        order_id: of the order.
         update_id: of this message of it.
         body: of the message, without header.
         steps: node id and sequence id of every node of this message, with whether it is released.

@@ -99,8 +99,6 @@ class TransportState:
     """The goal of one vehicle, at most one at a time.
 
     Attributes:
-        release: that the vehicle speaks.
-        times: limits.
         max_nodes: of one order.
         name: what the identifiers that it makes begin with; no other's do.
     """

@@ -31,7 +31,6 @@ class Drive:
     """Drive to a node, over the edge before it.
 
     Attributes:
-        node_id: of the node.
         sequence_id: of the node in the order.
         x: metres on the map; None where the order states no position, as y, theta and map_id.
         y: metres.
@@ -39,7 +38,6 @@ class Drive:
         map_id: of the map.
         deviation: metres within which it is reached.
         max_speed: metres a second; None: as fast as it may.
-        order_id: of the order.
     """
 
     node_id: str
@@ -58,11 +56,9 @@ class Act:
     """Perform an action where the vehicle stands.
 
     Attributes:
-        action_id: of the action.
         action_type: what is to be done.
         parameters: values by key.
         node_id: of the node traversed last.
-        order_id: of the order.
     """
 
     action_id: str
@@ -80,7 +76,6 @@ class VehicleState:
     """What a vehicle knows of its order, and reports.
 
     Attributes:
-        release: that it speaks.
         known: types of actions that it can perform within orders.
         position: x, y, theta, map; None while it does not know where it is.
         driving: whether it moves.

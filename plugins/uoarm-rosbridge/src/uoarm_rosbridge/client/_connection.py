@@ -77,10 +77,7 @@ class ServerConnection:
     What comes is handed on in the connection's thread: what takes it must return at once.
 
     Args:
-        name: of the bridge.
-        options: of the bridge.
         access: reads what the server is shown, for each attempt to connect.
-        report: has the health of the connection reported.
         questions: what asks rosapi; left out: this connection.
 
     Attributes:

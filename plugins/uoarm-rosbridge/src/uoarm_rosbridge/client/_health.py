@@ -27,12 +27,10 @@ class PeerWatch:
     """Looks at the peers of what is open, and for what was lost, now and then in its own thread.
 
     Args:
-        name: of the bridge.
         connection: to the server; while it is not up, nothing is looked at.
         check: seconds from one look to the next.
         peers: returns the nodes behind an endpoint.
         is_same: says whether a type is the same in what may be another server than before.
-        report: has the health of a component reported.
     """
 
     def __init__(

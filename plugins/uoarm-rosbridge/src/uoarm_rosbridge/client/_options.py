@@ -185,7 +185,6 @@ class ServerAccess:
 
     Attributes:
         context: of TLS; None: it is not spoken.
-        headers: of the handshake.
         authentication: returns the operation that a server with rosauth wants first.
     """
 

@@ -74,8 +74,6 @@ class RosType:
 
     Attributes:
         name: in full.
-        fields: members by name.
-        constants: of its definition.
         is_real: whether the name is that of a type of ROS, or was made up for a function.
     """
 
