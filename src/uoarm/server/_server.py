@@ -174,13 +174,13 @@ class Server:
         metrics = Metrics(registry, self._totals, lambda: self._clients, self._store)
         try:
             self._start_front_ends(registry)
-            await self._listen(self._settings.port, registry, metrics.text, None)
+            await self._listen(self._settings.port, metrics.text, None)
             for name, port in self._settings.front_end_ports.items():
                 front_end = self._front_ends.find(name)
                 if front_end is not None and front_end.serve is not None:
-                    await self._serve_http(port, registry, front_end)
+                    await self._serve_http(port, front_end)
                 else:
-                    await self._listen(port, registry, metrics.text, front_end)
+                    await self._listen(port, metrics.text, front_end)
         except BaseException:
             await self.stop()
             raise
@@ -251,11 +251,7 @@ class Server:
                 self._front_ends.drop(front_end.name, "it did not start")
 
     async def _listen(
-        self,
-        port: int,
-        registry: FeedRegistry,
-        metrics: Callable[[], Awaitable[bytes]],
-        only: FrontEnd | None,
+        self, port: int, metrics: Callable[[], Awaitable[bytes]], only: FrontEnd | None
     ) -> None:
         limits = self._limits
         handshakes = HandshakeHandler(
@@ -271,7 +267,7 @@ class Server:
 
         async def handle(socket: ServerConnection) -> None:
             assert isinstance(socket, TurnConnection), "_make_connection makes no others"
-            await self._handle(socket, handshakes, registry)
+            await self._handle(socket, handshakes)
 
         for listener in await self._bind(port):
             listening = serve(
@@ -301,11 +297,11 @@ class Server:
         self._ports.append(sockets[0].getsockname()[1])
         return sockets
 
-    async def _serve_http(self, port: int, registry: FeedRegistry, front_end: FrontEnd) -> None:
+    async def _serve_http(self, port: int, front_end: FrontEnd) -> None:
         assert front_end.serve is not None, "others are not served so"
         sockets = await self._bind(port)
         self._sockets_of_others += sockets
-        place = HttpPlace(registry, self.stateless_clients, tuple(sockets), self._tls)
+        place = HttpPlace(self.backend, self.stateless_clients, tuple(sockets), self._tls)
         serving = asyncio.ensure_future(foreign(front_end.serve, place))
         serving.add_done_callback(functools.partial(_take_end, front_end))
         self._serving.append(serving)
@@ -313,9 +309,7 @@ class Server:
     def _make_connection(self, *arguments: Any, **options: Any) -> ServerConnection:
         return TurnConnection(self._sockets, *arguments, **options)
 
-    async def _handle(
-        self, socket: TurnConnection, handshakes: HandshakeHandler, registry: FeedRegistry
-    ) -> None:
+    async def _handle(self, socket: TurnConnection, handshakes: HandshakeHandler) -> None:
         entry = handshakes.entry(socket)
         grant = self._admission.grant(entry.credentials)
         if grant is None:
@@ -327,13 +321,13 @@ class Server:
             grant,
             self._limits,
             self._decoder,
-            registry.memory.open(),
+            self.backend.memory.open(),
             self._audit,
-            registry.approvals.supervision,
+            self.backend.approvals.supervision,
         )
         host = host_of(socket)
         try:
-            session = foreign(self._session, client, registry, socket, entry.front_end)
+            session = foreign(self._session, client, socket, entry.front_end)
         except Exception as error:  # noqa: BLE001 - a front end may raise anything
             client.account.close()
             who = entry.front_end or "the native protocol"
@@ -382,17 +376,13 @@ class Server:
         self._audit.departure(client.identity)
 
     def _session(
-        self,
-        client: ConnectedClient,
-        registry: FeedRegistry,
-        socket: ServerConnection,
-        front_end: FrontEnd | None,
+        self, client: ConnectedClient, socket: ServerConnection, front_end: FrontEnd | None
     ) -> Session:
         if front_end is not None:
             return self._make_session[front_end.name](client)
         form = FORMS.get(socket.subprotocol or "", TEXT_FORM)
         assert self._shared is not None, "the server was started"
-        return NativeSession(client, registry, form, self._store, self._shared)
+        return NativeSession(client, self.backend, form, self._store, self._shared)
 
     async def _read_again(self) -> None:
         """Take in what has changed in the access file and in the certificate's."""

@@ -455,12 +455,7 @@ def _moves(component: Component, *, opened: bool) -> str:
 
 
 class Approvals:
-    """The approvals of a server, in the thread of its loop.
-
-    Args:
-        audit: gets every step.
-        supervision: says what needs one.
-    """
+    """The approvals of a server, in the thread of its loop."""
 
     def __init__(self, audit: Audit, supervision: Supervision) -> None:
         self.supervision = supervision

@@ -39,7 +39,6 @@ class ClientCalls:
     """In the loop's thread.
 
     Args:
-        registry: in whose workers they run.
         form: in which their messages are.
         write: makes of a question and its reply what is sent; in a worker.
         emit: takes what is sent of a question that was answered.

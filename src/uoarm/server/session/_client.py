@@ -63,12 +63,7 @@ class ConnectedClient(AdmittedClient):
 
     Args:
         socket: after its handshake.
-        credentials: with which it was admitted.
         grant: its rights, and whose it is.
-        decoder: where its frames are decoded.
-        account: of what is held for it.
-        audit: records what it was allowed and denied.
-        supervision: says what needs an approval.
 
     Attributes:
         is_cut: whether the server ended its connection.

@@ -18,11 +18,7 @@ _MOST_PORTS = 50
 
 
 class Discoveries:
-    """Asks bridges for a client; what takes long runs in a worker.
-
-    Args:
-        registry: has the manager and the workers.
-    """
+    """Asks bridges for a client; what takes long runs in a worker."""
 
     def __init__(self, registry: FeedRegistry) -> None:
         self._robot = registry.robot

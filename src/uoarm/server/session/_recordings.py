@@ -30,7 +30,6 @@ class RecordingRequests:
     A recording is of the server, not of the session that began it: a page may be closed meanwhile.
 
     Args:
-        registry: has the manager, the workers and the limits.
         folder: of the files of recordings that clients begin; made when the first one does.
     """
 

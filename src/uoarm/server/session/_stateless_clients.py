@@ -41,8 +41,6 @@ class AdmittedClient:
 
     Args:
         grant: its rights, and whose it is.
-        account: of what is held for it.
-        audit: records what it was allowed and denied.
 
     Attributes:
         identity: name of the session, for logs and the client itself.
@@ -123,8 +121,6 @@ class StatelessClients:
     """The stateless clients of a server, in the thread of its loop.
 
     Args:
-        audit: records who came and who was refused.
-        registry: counts what is held for them.
         connected: addresses of clients; each request counts as one while it lasts.
         refused: called for each request that is refused.
     """

@@ -133,7 +133,6 @@ class StreamRunner:
     at a time, each after the answer to the one before; once accepted they run side by side.
 
     Args:
-        function: the function.
         backend: where it is opened, with the first goal.
     """
 
@@ -394,9 +393,6 @@ class ActionRunners:
 
     Goals are handed over one at a time, so that one connection has one runner, whichever protocol
     its clients speak.
-
-    Args:
-        backend: where functions are opened.
     """
 
     def __init__(self, backend: ActionBackend) -> None:

@@ -258,10 +258,8 @@ class Feed:
         limits: of these, how many messages wait for the loop, and what memory they hold; with more
             the oldest are lost, as a gap in the numbers.
         encoder: writes long messages.
-        clock: seconds.
 
     Attributes:
-        encoder: as it was given.
         number: messages received so far.
         handed: the number of the last message that was handed out, or is being written for that.
         is_writing: whether the last of these is being written still.

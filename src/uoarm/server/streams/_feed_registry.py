@@ -67,12 +67,7 @@ _ENDS = frozenset({"closed", "failed"})
 
 
 class ChangeNotice:
-    """A change of the robot, written once for all who get it in the same form and role.
-
-    Args:
-        event: the change.
-        views: of roles.
-    """
+    """A change of the robot, written once for all who get it in the same form and role."""
 
     def __init__(self, event: StatusEvent, views: RoleViews) -> None:
         self.event = event

@@ -79,7 +79,6 @@ class InputSender:
     trusted, whatever the connection was opened with.
 
     Args:
-        connection: open.
         read: makes the logical value of a message by the input's structure, in a worker.
         workers: where they are handed over, many in one go.
         account: of the client, charged until a message is handed over.

@@ -111,12 +111,10 @@ class Subscription:
     or from who calls `offer`.
 
     Args:
-        client: whose it is.
         form: in which messages are written.
         lane: the client's queue for these messages; None: as long as its limits allow, and for what
             is new.
         throttle: which messages pass.
-        clock: seconds.
         on_refused: called once for each reason for which a message could not be written.
         on_end: called when no more will come, with state and cause.
 
