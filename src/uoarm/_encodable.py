@@ -36,6 +36,22 @@ def printable(text: str) -> str:
     return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text.replace("\r\n", "\n"))
 
 
+_LINE, _BEGIN, _END = 2_000, 1_500, 400
+
+
+def in_short_lines(text: str) -> str:
+    """Return text without the middle of lines that are longer than 2,000 characters.
+
+    What came from elsewhere, such as a name, is said in an error, and may be of any length.
+    """
+    if len(text) <= _LINE:
+        return text
+    return "\n".join(
+        line if len(line) <= _LINE else f"{line[:_BEGIN]} ... {line[-_END:]}"
+        for line in text.split("\n")
+    )
+
+
 _LONG = 10**40
 
 

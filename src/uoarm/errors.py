@@ -25,6 +25,8 @@ import os
 from collections.abc import Mapping
 from enum import Enum
 
+from uoarm._encodable import in_short_lines
+
 __all__ = [
     "BridgeError",
     "BridgeTimeoutError",
@@ -47,7 +49,8 @@ class UoarmError(Exception):
     """The root of every error that this library raises on purpose.
 
     Args:
-        text: what is wrong, and what to do; "": the name of the class.
+        text: what is wrong, and what to do; "": the name of the class. Of a line of more than 2,000
+            characters the middle is left out.
         error_code: where it is a more special one than that of the class.
 
     Attributes:
@@ -57,7 +60,7 @@ class UoarmError(Exception):
     error_code = "UOA-001"
 
     def __init__(self, text: str = "", *, error_code: str = "") -> None:
-        super().__init__(text or type(self).__name__)
+        super().__init__(in_short_lines(str(text)) or type(self).__name__)
         if error_code:
             self.error_code = error_code
 

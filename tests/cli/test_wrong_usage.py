@@ -109,6 +109,34 @@ def test_an_option_that_would_do_nothing_beside_another_is_refused(words: str, s
     assert (done.exit_code, f"error: {said}\n" in done.stderr) == (2, True), done.stderr
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "%s",
+        "resolve %s",
+        "resolve %s --json",
+        "call %s",
+        "check %s.yaml",
+        "explain %s",
+        "serve --port %s",
+        "list --url %s",
+        "env remove %s",
+        "types --python -o %s",
+        "fleet --seconds %s",
+        "--log-level %s list",
+    ],
+)
+@pytest.mark.parametrize("long", ["a" * 100_000, "a b " * 25_000], ids=["word", "words"])
+def test_a_word_of_any_length_is_said_in_short(words: str, long: str, tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text("version: 1\nbridges: {}\nfunctions: {}\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        done = CliRunner().invoke(main, [word.replace("%s", long) for word in words.split()])
+    assert done.exit_code in {1, 2, 3, 4}, done.output
+    assert max(map(len, done.output.splitlines())) < 2_500
+    assert long[:100] in done.stderr
+
+
 def test_the_file_of_the_variable_stands_beside_a_server() -> None:
     done = CliRunner(env={"UOARM_CONFIG": "lab.yaml"}).invoke(
         main, ["list", "--url", "ws://127.0.0.1:1/"]

@@ -179,6 +179,8 @@ def test_what_cannot_be_resolved_is_explained(talk: Connect, op: str) -> None:
 
 def test_an_unknown_name(talk: Connect) -> None:
     assert talk().refused("Request", "numbrs")["code"] == "resolution"
+    for op in ("Request", "Call", "Kill", "Data", "Resolve"):
+        assert len(talk().refused(op, "n" * 50_000)["text"]) < 2_500
 
 
 @FORMS

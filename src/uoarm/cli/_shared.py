@@ -20,6 +20,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from uoarm import errors
+from uoarm._encodable import in_short_lines
 from uoarm._forks import default_in_children
 from uoarm._secrets import without_secrets
 from uoarm._support.files import UnreadableFileError, read_text
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from uoarm.model import Function, Message
 
 F = TypeVar("F", bound=Callable[..., Any])
-REFUSED, CONFIGURATION, BRIDGE, CANNOT_LISTEN, INTERRUPTED = 1, 3, 4, 5, 130
+REFUSED, CONFIGURATION, BRIDGE, CANNOT_LISTEN, UNPRINTED, INTERRUPTED = 1, 3, 4, 5, 6, 130
 JSON = "uoarm.json"  # of the context: whether `--json` is among the words
 _NAMED = 20
 _MOST_OCTETS = 10_000_000  # as configurations have at most
@@ -330,7 +331,7 @@ def print_failure(
     """
     if isinstance(error, errors.UoarmError):
         error_code = error.error_code
-    error = without_secrets(str(error))
+    error = in_short_lines(without_secrets(str(error)))
     if as_json:
         print_json({**details, "error": error, "error_code": error_code}, in_one_line=True)
     print_error(error)
@@ -343,7 +344,7 @@ def print_error_code(error_code: str) -> None:
 
 def print_error(error: object) -> None:
     """Say on stderr what is wrong."""
-    echo(f"{styled('error:', fg='red')} {error}", err=True)
+    echo(f"{styled('error:', fg='red')} {in_short_lines(str(error))}", err=True)
 
 
 def print_warning(warning: object) -> None:
