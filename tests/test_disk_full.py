@@ -136,18 +136,53 @@ def test_a_host_that_cannot_be_started_is_an_error_and_leaves_nothing(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
-@pytest.mark.parametrize("command", [["check", "robot.yaml"], ["list"], ["bridges"], ["doctor"]])
+@pytest.mark.parametrize(
+    "command",
+    [
+     ["check", "robot.yaml"], ["list"], ["bridges"], ["doctor"], ["--version"],
+     ["schema", "check", "a.json", "a.json"], ["schema", "check", "a.json", "b.json", "--json"]],
+)  # fmt: skip
 def test_output_without_room_is_one_error(tmp_path: Path, command: list[str]) -> None:
     (tmp_path / "robot.yaml").write_text(HOSTED)
+    _write_structures(tmp_path)
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
             [sys.executable, "-m", "uoarm", *command],
             cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=patience(),
             check=False,
         )  # fmt: skip
-    assert done.returncode == 1
+    assert done.returncode == 6, done.stderr
     text = "error: nothing more can be written: No space left on device"
-    assert done.stderr.splitlines() == [text, "uoarm explain UOA-003 says more"]
+    lines = [text] if "schema" in command else [text, "uoarm explain UOA-003 says more"]
+    assert done.stderr.splitlines() == lines
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+@pytest.mark.parametrize(
+    "words", ["a.json a.json", "a.json b.json", "a.json none.json --json", "a.json b.json --json"]
+)
+def test_what_cannot_be_printed_is_no_verdict(tmp_path: Path, words: str) -> None:
+    """Nor where it is read no more, as by `head`."""
+    _write_structures(tmp_path)
+    (tmp_path / "none.json").write_text("nothing")
+    command = [sys.executable, "-m", "uoarm.schema", "check", *words.split()]
+    unread, pipe = os.pipe()
+    os.close(unread)
+    full = os.open("/dev/full", os.O_WRONLY)
+    text = "error: nothing more can be written: No space left on device\n"
+    for place, said in ((full, text), (pipe, "")):
+        done = subprocess.run(
+            command,
+            cwd=tmp_path, stdout=place, stderr=subprocess.PIPE, text=True, timeout=patience(),
+            check=False,
+        )  # fmt: skip
+        os.close(place)
+        assert (done.returncode, done.stderr) == (6, said)
+
+
+def _write_structures(folder: Path) -> None:
+    (folder / "a.json").write_text('{"type": "number"}')
+    (folder / "b.json").write_text('{"type": "string"}')
 
 
 def test_a_module_that_is_imported_meanwhile_leaves_no_half_of_its_bytecode(

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner, Result
-from tests.processes import run_python
+from tests.processes import run_program, run_python
 
 from uoarm import Connection
 from uoarm.bridge import Registry, install_command
@@ -458,6 +458,19 @@ def test_a_message_nested_too_deeply_is_a_bad_parameter(robot: str) -> None:
     result = run("call", "greeting", "[" * 100_000, "-f", robot)
     assert result.exit_code == 2
     assert "not JSON" in result.output
+
+
+def test_without_descriptors_a_command_says_so_in_one_line(robot: str) -> None:
+    """Of half an event loop asyncio would say more."""
+    for limit in (6, 8, 10):
+        words = ["-m", "uoarm", "list", "--url", "ws://127.0.0.1:1/"]
+        done = run_program("prlimit", f"--nofile={limit}:{limit}", sys.executable, *words)
+        first, last = done.stderr.splitlines()
+        assert (first.partition(": a limit")[0], done.returncode) == (
+            "error: Too many open files",
+            4,
+        )
+        assert last == "uoarm explain UOA-001 says more"
 
 
 def test_watching_ends_with_an_interrupt_and_no_error(

@@ -139,4 +139,4 @@ def test_it_ends_where_nothing_more_can_be_printed(
     monkeypatch.setattr(RobotManager, "listen", listen)
     words = ["offer", "-f", str(tmp_path / "robot.yaml")]
     done = Background(lambda: CliRunner().invoke(main, words)).result()
-    assert (done.exit_code, len(printed)) == (1, 2), done.output
+    assert (done.exit_code, len(printed)) == (6, 2), done.output

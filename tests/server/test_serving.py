@@ -256,7 +256,7 @@ def test_what_cannot_be_printed_is_no_port_that_is_taken(
 ) -> None:
     monkeypatch.setattr(_serve, "say", Mock(side_effect=OSError(errno.ENOSPC, "no room")))
     done = refuse("--port", "0")
-    assert done.exit_code == 1
+    assert done.exit_code == 6
     assert "error: nothing more can be written: no room\nuoarm explain UOA-003" in done.stderr
 
 

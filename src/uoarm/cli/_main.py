@@ -11,7 +11,7 @@ import errno
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -21,12 +21,20 @@ import click
 from uoarm._raised import text_of
 from uoarm._support.process_tuning import short_switch_interval
 from uoarm._version import __version__
-from uoarm.cli._output import NO_ROOM, add_log_options, echo, keep_apart, logging_to_stderr
+from uoarm.cli._output import (
+    NO_ROOM,
+    UNWRITTEN,
+    add_log_options,
+    echo,
+    keep_apart,
+    logging_to_stderr,
+)
 from uoarm.cli._shared import (
     BRIDGE,
     INTERRUPTED,
     JSON,
     REFUSED,
+    UNPRINTED,
     exit_code_of,
     fail,
     importing,
@@ -42,6 +50,7 @@ _GROUP = "uoarm.commands"
 _NO_THREAD = "can't start new thread"  # the text of what Python raises
 _AT_LIMIT = frozenset({errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM})
 _LIMIT = "a limit of this process, user or machine is reached: see ulimit -a and systemd's TasksMax"
+_DESCRIPTORS = 8
 _HELP = getattr(click.exceptions, "NoArgsIsHelpError", ())  # which click 8.1 has not
 
 # Plugins of ours by the command that they bring.
@@ -178,15 +187,20 @@ class PluginGroup(click.Group):
 
 @contextmanager
 def _writing() -> Iterator[None]:
-    """Say that there is no room for what is printed, also for help and mistakes as JSON."""
+    """Say that there is no room for what is printed, also for help and mistakes as JSON.
+
+    Where what is printed is read no more, as by `head`, that ends the command in silence.
+    """
     try:
         yield
     except OSError as error:
-        if error.errno not in NO_ROOM:
+        if error.errno not in UNWRITTEN:
             raise
         with suppress(OSError, ValueError):  # what waits would fail once more when Python ends
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        fail(f"nothing more can be written: {error.strerror}", REFUSED, "UOA-003")
+        if error.errno in NO_ROOM:
+            fail(f"nothing more can be written: {error.strerror}", UNPRINTED, "UOA-003")
+        sys.exit(UNPRINTED)
 
 
 def _fail_with_usage(error: click.UsageError, *, as_json: bool) -> NoReturn:
@@ -237,12 +251,24 @@ def _load(point: EntryPoint) -> Command:
     return found
 
 
+def _require_descriptors() -> None:
+    """Begin nothing that has no room for an event loop: asyncio prints a traceback of half a one.
+
+    Raises:
+        OSError: there is none.
+    """
+    with ExitStack() as opened:
+        for _ in range(_DESCRIPTORS):
+            opened.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+
+
 @click.group(cls=PluginGroup)
 @click.version_option(__version__, prog_name="uoarm")
 @click.pass_context
 def main(context: click.Context) -> None:
     """Ask for a robot function by name and get it from whichever framework provides it."""
     terminable(context)
+    _require_descriptors()
     context.with_resource(logging_to_stderr(context))
     try:
         context.with_resource(short_switch_interval())

@@ -173,5 +173,5 @@ def _following(follower: _Follower, every: float) -> Iterator[None]:
     finally:
         over.set()
         thread.join(_END_SECONDS)
-    if unwritten:
-        raise unwritten[0]
+        if unwritten:  # also where it ended the server's start
+            raise unwritten[0]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,7 @@ __all__ = ["check_files", "schema"]
 
 _UNDECIDED = 3
 _UNREADABLE = 2
+_UNPRINTED = 6  # as of all commands
 _ERROR_CODE = "UOA-101"
 _MOST_OCTETS = 64_000_000
 
@@ -38,18 +42,34 @@ def schema() -> None:
 def check_files(producer: Path, consumer: Path, *, as_json: bool) -> None:
     """Say whether every message of PRODUCER is accepted by CONSUMER.
 
-    Exit codes: 0 compatible, 1 incompatible, 2 not a schema, 3 undecided.
+    Exit codes: 0 compatible, 1 incompatible, 2 not a schema, 3 undecided, 6 where the verdict
+    cannot be printed.
     """
     try:
         verdict = check(_read(producer), _read(consumer))
     except (SchemaError, _UnreadableError) as error:
         text = f"not a JSON Schema: {error}" if isinstance(error, SchemaError) else str(error)
         if as_json:
-            click.echo(json.dumps({"error": text, "error_code": _ERROR_CODE}))
+            _print(json.dumps({"error": text, "error_code": _ERROR_CODE}))
         click.echo(text, err=True)
         sys.exit(_UNREADABLE)
-    click.echo(json.dumps(verdict.to_dict(), indent=2) if as_json else _sentences(verdict))
+    _print(json.dumps(verdict.to_dict(), indent=2) if as_json else _sentences(verdict))
     sys.exit(0 if verdict.compatible else 1 if verdict.incompatible else _UNDECIDED)
+
+
+def _print(text: str) -> None:
+    """Print, and exit where that is not possible: no verdict must seem to be one.
+
+    Where what is printed is read no more, as by `head`, nothing is said.
+    """
+    try:
+        click.echo(text)
+    except OSError as error:
+        with suppress(OSError, ValueError):  # what waits would fail once more when Python ends
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if error.errno != errno.EPIPE:
+            click.echo(f"error: nothing more can be written: {error.strerror}", err=True)
+        sys.exit(_UNPRINTED)
 
 
 def _read(path: Path) -> Any:
