@@ -306,6 +306,7 @@ def test_the_audit_log_is_appended_to_a_file_that_may_be_moved(
         client.refused("Call", "add")
     before = (tmp_path / "audit.jsonl.1").read_text("utf-8").splitlines()
     assert before[0] == "what was there"
+    assert json.loads(before[1])["began"] is True
     denied = [json.loads(line) for line in before[1:] if '"allowed":false' in line]
     assert [(line["operation"], line["function"]) for line in denied] == [("call", "add")]
     assert denied[0]["time"] > 1e9
@@ -321,6 +322,8 @@ def test_an_audit_log_that_cannot_be_written_keeps_the_server_from_starting(
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(ConfigurationError, match=r"audit log cannot be written to .*pipe"):
         serve(audit=tmp_path / "pipe")  # which no one reads
+    with pytest.raises(ConfigurationError, match=r"/dev/full: No space left .*; make room"):
+        serve(audit=Path("/dev/full"))
 
 
 def test_tls_is_spoken_where_there_is_a_certificate(serve: Serve, tmp_path: Path) -> None:

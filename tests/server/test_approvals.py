@@ -15,6 +15,7 @@ from attrs import evolve
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from tests.disk import full_after
 from tests.server.conftest import Serve
 from tests.server.talk import Talk
 
@@ -362,13 +363,15 @@ def test_nothing_is_done_while_the_audit_log_cannot_be_written(
     assert json.loads(last)["phase"] == "used"
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
-def test_an_audit_log_on_a_full_disk_ends_as_any_other(caplog: pytest.LogCaptureFixture) -> None:
-    kept = AuditFile(Path("/dev/full"))
-    Audit().departure("a session")
-    assert kept.is_failing
-    kept.close()
-    assert "No space left on device" in caplog.text
+def test_an_audit_log_on_a_full_disk_ends_as_any_other(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    kept = AuditFile(tmp_path / "audit.jsonl")
+    with full_after((tmp_path / "audit.jsonl").stat().st_size):
+        Audit().departure("a session")
+        assert kept.is_failing
+        kept.close()
+    assert "File too large" in caplog.text
 
 
 def test_half_a_character_of_a_client_is_in_the_log(caplog: pytest.LogCaptureFixture) -> None:

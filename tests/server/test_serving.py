@@ -251,6 +251,20 @@ def test_a_port_that_is_taken_is_reported_in_one_line(
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+@pytest.mark.parametrize(
+    "words", ["--audit /dev/full", "--audit /dev/full/log", "--recordings /dev/full/folder"]
+)
+def test_no_part_of_the_robot_begins_where_what_is_kept_cannot_be_written(
+    words: str, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[str] = []
+    monkeypatch.setattr(RobotManager, "offer", lambda *_, **__: begun.append("offers"))
+    done = refuse("--port", "0", *words.split())
+    assert (done.exit_code, begun) == (3, []), done.output
+    assert "cannot be written to /dev/full" in done.stderr
+
+
 def test_what_cannot_be_printed_is_no_port_that_is_taken(
     refuse: Refuse, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,7 +39,7 @@ from uoarm.cli._shared import (
     takes_configuration,
     text_of_file,
 )
-from uoarm.errors import ConfigurationError, ListenError, UoarmError
+from uoarm.errors import ConfigurationError, ConnectionClosedError, ListenError, UoarmError
 
 if TYPE_CHECKING:
     from uoarm.server import Server, ServerOptions
@@ -169,19 +169,28 @@ def serve(
             say(server, chosen)
             if announcement is not None:
                 announcement.start(server.ports[0])
+            # Not before: what cannot be served starts no part of the robot. Beside the server,
+            # which answers while what is recorded opens.
+            threading.Thread(target=_begin, args=(manager,), daemon=True).start()
 
-        manager.offer(timeout=0)  # what fails is in the log and in the status
-        if manager.config.record is not None:
-            try:
-                manager.record()
-            except UoarmError as error:
-                print_warning(f"nothing is recorded: {error}")
         try:
             with _reloading(manager, watch=watch_config), announcement or nullcontext():
                 run(manager, chosen, ready)
         except ListenError as error:
             error.name_option(port_options(chosen))
             raise
+
+
+def _begin(manager: RobotManager) -> None:
+    """Offer and record what the configuration says."""
+    try:
+        manager.offer(timeout=0)  # what fails is in the log and in the status
+        if manager.config.record is not None:
+            manager.record()
+    except ConnectionClosedError:  # the server has ended
+        pass
+    except UoarmError as error:
+        print_warning(f"nothing is recorded: {error}")
 
 
 _LAST_SECONDS = 1.0

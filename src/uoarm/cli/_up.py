@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from attrs import define, field
@@ -28,6 +29,9 @@ from uoarm.cli._shared import (
 from uoarm.config import add_functions, load
 from uoarm.errors import ConnectionClosedError, ListenError, UoarmError
 from uoarm.model import BridgeFindings, Robot, to_json, write_json
+
+if TYPE_CHECKING:
+    from uoarm.server import Server
 
 _END_SECONDS = 5.0
 _DISCOVERY_SECONDS = 20.0
@@ -82,10 +86,14 @@ def up(
             use(manager)
             chosen = ServerOptions(host=host, port=port, access=access)
             follower = _Follower(manager, unfed=unfed, as_json=as_json)
-            manager.offer(timeout=0)  # what fails is in the log and in the status
+
+            def ready(server: Server) -> None:
+                say(server, chosen, err=as_json)
+                manager.offer(timeout=0)  # what fails is in the log and in the status
+
             try:
                 with _following(follower, every):
-                    run(manager, chosen, lambda server: say(server, chosen, err=as_json))
+                    run(manager, chosen, ready)
             except ListenError as error:
                 error.name_option({port: "--port"})
                 raise

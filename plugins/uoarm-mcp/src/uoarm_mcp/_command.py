@@ -72,14 +72,16 @@ def main(arguments: list[str] | None = None) -> int:
         if given.http is None:
             served = own_wire()
         with served as wire, RobotManager.from_file(path) as robot:
-            robot.offer(timeout=0)
+
+            def ready(server: Server) -> None:
+                _say(server, options)
+                robot.offer(timeout=0)
+
             if wire is None:
-                run(robot, options, lambda server: _say(server, options))
+                run(robot, options, ready)
             else:
                 token = os.environ.get("UOARM_TOKEN", "").strip()  # as it stands in a file
-                asyncio.run(
-                    serve_stdio(wire, robot, options, token, lambda server: _say(server, options))
-                )
+                asyncio.run(serve_stdio(wire, robot, options, token, ready))
     except RefusedError as error:
         raise CommandLineError(
             str(error), exit_code=_REFUSED, error_code=error.error_code

@@ -352,7 +352,8 @@ class Audit:
 class AuditFile(WatchedFileHandler):
     """Appends the audit log to a file that only this user may read, until it is closed.
 
-    What is there already stays. Where the file was moved away, as by the rotation of logs, the next
+    It begins with a line that says so, which a full disk refuses before anything is served. What is
+    there already stays. Where the file was moved away, as by the rotation of logs, the next
     line begins a new one. A line that cannot be written, as on a full disk, is in the server's log.
 
     Args:
@@ -368,9 +369,19 @@ class AuditFile(WatchedFileHandler):
     def __init__(self, path: Path) -> None:
         try:
             super().__init__(path, encoding="utf-8")
+            stream = self.stream
+            assert stream is not None, "it was opened"
+            try:
+                stream.write(json.dumps({"began": True, "time": time.time()}) + "\n")
+                stream.flush()
+            except OSError:
+                with suppress(OSError):  # it tries once more
+                    stream.close()
+                raise
         except OSError as error:
             raise ConfigurationError(
-                f"the audit log cannot be written to {path}: {error.strerror or error}"
+                f"the audit log cannot be written to {path}: {error.strerror or error}; make room, "
+                "or choose another place"
             ) from error
         self.setFormatter(logging.Formatter("%(message)s"))
         self.is_failing = False
