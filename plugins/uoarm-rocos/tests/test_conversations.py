@@ -24,6 +24,7 @@ from uoarm_rocos._catalogue import (
     HeartbeatMessage,
     OpenMessage,
     ResultMessage,
+    WireMessage,
 )
 from uoarm_rocos._profile import ProfileDevice
 
@@ -246,3 +247,75 @@ def test_a_flow_that_is_open_since_the_line_came_back_is_not_opened_again() -> N
         return flow.id == before
 
     assert answering(script, call)
+
+
+def test_a_flow_that_is_closed_as_the_line_comes_back_is_closed_at_the_device() -> None:
+    order: list[tuple[type, int]] = []
+
+    def script(device: Scripted) -> None:
+        device.begin()
+        device.opened()
+        for kind in (OpenMessage, CloseMessage, HeartbeatMessage):
+            device.receive(kind)
+
+    def call(bridge: Bridge) -> object:
+        structure = bridge.describe(ODOMETRY).message
+        assert structure
+        assert isinstance(bridge, RocosBridge)
+        channel = bridge.open_source(ODOMETRY, structure, print)
+        device = bridge._devices["robot"]
+        assert isinstance(device, ProfileDevice)
+        (flow,) = device._flows
+        send = device._conversation.send
+
+        def note(build: Callable[[int], WireMessage], within: float | None = None) -> None:
+            message = build(0)
+            if isinstance(message, OpenMessage):
+                channel.close()  # by its user, at the worst moment
+            if isinstance(message, OpenMessage | CloseMessage):
+                order.append((type(message), message.id))
+            send(build, within)
+
+        device._conversation.send = note  # type: ignore[method-assign]
+        device._by_id.clear()  # as where the line was lost
+        device._open_again(flow, device.catalogue(0.0))
+        send(HeartbeatMessage)
+        return order
+
+    assert answering(script, call) is order
+    kind, identity = order[-1]
+    assert kind is CloseMessage
+    assert (OpenMessage, identity) in order
+
+
+def test_a_flow_that_is_closed_as_the_line_is_lost_closes_no_other_conversation() -> None:
+    def script(device: Scripted) -> None:
+        device.begin()
+        device.opened()
+        closed = device.receive(CloseMessage)
+        assert isinstance(closed, CloseMessage)
+        ids.append(closed.id)
+
+    ids: list[int] = []
+
+    def call(bridge: Bridge) -> object:
+        structure = bridge.describe(ODOMETRY).message
+        assert structure
+        assert isinstance(bridge, RocosBridge)
+        channel = bridge.open_source(ODOMETRY, structure, print)
+        device = bridge._devices["robot"]
+        assert isinstance(device, ProfileDevice)
+        (flow,) = device._flows
+        identity = flow.id
+
+        def lose(
+            identity: int,
+        ) -> bool:  # between the look and the message
+            flow.id = 0
+            return bool(identity)
+
+        device._answers.forget = lose  # type: ignore[method-assign]
+        channel.close()
+        return identity
+
+    assert answering(script, call) == ids[0]

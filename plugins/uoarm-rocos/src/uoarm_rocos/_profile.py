@@ -383,6 +383,8 @@ class ProfileDevice(LineDevice):
         with self._state:
             self._is_there, self._cause = False, cause
             flows = list(self._flows)
+            for flow in flows:
+                flow.id = 0
             self._by_id.clear()
         self._unsent_closes.clear()
         self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
@@ -391,7 +393,6 @@ class ProfileDevice(LineDevice):
         if health is not None:
             self._changed(health, f"{HealthReason.DISCONNECTED.value}: {text}", None)
         for flow in flows:
-            flow.id = 0
             flow.monitor.connected(0, text)
             flow.monitor.tick()
 
@@ -477,6 +478,8 @@ class ProfileDevice(LineDevice):
         self._conversation.send(
             lambda seq: OpenMessage(seq, identity, flow.api.name, flow.direction)
         )
+        if flow not in self._flows:  # closed meanwhile, which may have been sent before
+            self._send_close(identity)
 
     def _send_data(self, flow: ProfileFlow, values: dict[str, Any]) -> None:
         identity = flow.id
@@ -487,10 +490,11 @@ class ProfileDevice(LineDevice):
     def _end(self, flow: ProfileFlow) -> None:
         with self._state:
             self._flows.discard(flow)
-            known = self._by_id.pop(flow.id, None)
-        self._answers.forget(flow.id)
+            identity = flow.id  # the line's thread may have another, or 0, at any time after this
+            known = self._by_id.pop(identity, None)
+        self._answers.forget(identity)
         if known is not None:
-            self._send_close(flow.id)
+            self._send_close(identity)
 
     def _send_close(self, identity: int, within: float | None = None) -> None:
         try:
