@@ -20,6 +20,7 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import Background, Collector, patience, wait
 
+IDL = str(Path(__file__).parent / "service.idl")
 PORTS = {Role.OUTPUT: "out", Role.INPUT: "in"}
 
 
@@ -176,6 +177,38 @@ def test_what_a_port_of_ours_does_not_take_is_reported(make_bridge: Make) -> Non
     theirs.call(lifecycle, {"action": "activate"})
     assert events.event(Health.OK, "is active again").channel is channel
     into.send(stamped(3))
+    assert [message["data"] for message in got.messages] == [1, 3]
+
+
+def test_our_component_neither_sends_nor_answers_while_others_have_deactivated_it(
+    make_bridge: Make,
+) -> None:
+    ours, theirs = make_bridge(idl=IDL), make_bridge("other", idl=IDL)
+    events, got = Inbox(ours), Collector()
+    out = sink(ours, endpoint(Role.INPUT, "self", "numbers", "TimedLong"))
+    echo = endpoint(Role.SERVICE, "self", "helper", "Mover::echo")
+    served = ours.serve(echo, lambda message: {"return": message["words"]})
+    source(theirs, endpoint(Role.OUTPUT, "uoarm_rtm.rtc", "numbers"), got)
+    asked = endpoint(Role.SERVICE, "uoarm_rtm.rtc", "helper", "Mover::echo")
+    lifecycle = endpoint(Role.SERVICE, "uoarm_rtm.rtc", "@lifecycle")
+
+    def reported(health: Health) -> bool:
+        found = {event.channel for event in events.messages if event.health is health}
+        return found == {out, served}
+
+    out.send(stamped(1))
+    theirs.call(lifecycle, {"action": "deactivate"})
+    assert reported(Health.DEGRADED)
+    with pytest.raises(BridgeError, match="has deactivated our component") as refused:
+        out.send(stamped(2))
+    assert refused.value.reason is FailureReason.UNAVAILABLE
+    with pytest.raises(BridgeError, match="is its component active"):
+        theirs.call(asked, {"words": "a"})
+    theirs.call(lifecycle, {"action": "activate"})
+    assert reported(Health.OK)
+    out.send(stamped(3))
+    assert theirs.call(asked, {"words": "b"}) == {"return": "b"}
+    got.wait(2)
     assert [message["data"] for message in got.messages] == [1, 3]
 
 

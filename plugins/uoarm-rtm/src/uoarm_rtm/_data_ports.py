@@ -116,7 +116,12 @@ class InPort(_DataPort):
         seconds: limit of calls to other ports.
         rate: times a second that OutPorts of pull connectors are asked; 0: `fetch` asks.
         unreadable: called with why, for each message that is none of its type; raises nothing.
+
+    Attributes:
+        dropped: messages that its component did not take, as it was not ACTIVE.
     """
+
+    dropped = 0
 
     def __init__(
         self,

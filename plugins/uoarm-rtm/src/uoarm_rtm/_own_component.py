@@ -7,6 +7,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from _uoarm_rtm_stubs import RTC
+from omniORB import CORBA
+
 from uoarm.bridge import (
     Channel,
     ChannelHealth,
@@ -16,83 +19,86 @@ from uoarm.bridge import (
     Source,
     on_failure,
 )
-from uoarm.errors import BridgeError
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Message
-from uoarm_rtm._data_ports import InPort
 from uoarm_rtm._descriptors import IdlInterface
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._options import RtmEndpointOptions
 from uoarm_rtm._orb import Orb
+from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._services import ServicePort, servant_of
 from uoarm_rtm._types import Types
-from uoarm_rtm.component import Callbacks, ComponentProfile, RtComponent
+from uoarm_rtm.component import ComponentProfile, RtComponent
+
+_RESTS = "another program has deactivated our component"
 
 
-class OwnSource(Source):
+class _OwnChannel(Channel):
+    """A channel at a port of ours, which rests while our component is not active."""
+
+    def __init__(self, own: OwnComponent, endpoint: Endpoint, port: PortServant) -> None:
+        super().__init__(endpoint)
+        self._own, self._own_port = own, port
+        health = ChannelHealth(f"port {port.name}", time.monotonic())
+        self._monitor = ChannelMonitor(health, partial(own.report, channel=self))
+        own.enter(self)
+
+    def judge(self) -> None:
+        """Report whether our component is active: other programs may deactivate it."""
+        if self._own.is_active:
+            self._monitor.peer_reported(Health.OK, "our component is active again")
+        else:
+            self._monitor.peer_reported(Health.DEGRADED, f"{_RESTS}: nothing passes")
+
+    def _close(self) -> None:
+        self._monitor.close()
+        self._own.leave(self)
+        self._own.component.remove_port(self._own_port)
+
+
+class OwnSource(_OwnChannel, Source):
     """An InPort of ours: what others write to it is delivered, one message at a time."""
 
     def __init__(
         self, own: OwnComponent, endpoint: Endpoint, name: str, type_id: str, deliver: Delivery
     ) -> None:
-        super().__init__(endpoint)
-        self._own = own
         self._deliver = deliver
-        self._count = self._dropped = 0
-        full = f"{own.component.profile.name}.{name}"
-        health = ChannelHealth(f"port {full}", time.monotonic())
-        self._monitor = ChannelMonitor(health, partial(own.report, channel=self))
-        self._port = InPort(
-            own.orb,
-            full,
-            own.types.codec(type_id),
-            self._take,
-            own.seconds,
-            RtmEndpointOptions.of_endpoint(endpoint).rate,
-            deliver.unreadable,
+        self._count = 0
+        rate = RtmEndpointOptions.of_endpoint(endpoint).rate
+        self._port = own.component.add_in_port(
+            name, type_id, own.types, self._take, rate, deliver.unreadable
         )
-        own.component.add_port(self._port)
-        own.enter(self)
-
-    def judge(self) -> None:
-        """Report whether our component takes what comes: other programs may deactivate it."""
-        if self._own.is_active:
-            self._monitor.peer_reported(Health.OK, "our component is active again")
-        else:
-            text = "another program has deactivated our component: what comes is dropped"
-            self._monitor.peer_reported(Health.DEGRADED, text)
+        super().__init__(own, endpoint, self._port)
 
     def facts(self) -> Mapping[str, object]:
         """Return the counts of messages, of those that came while inactive, and of connectors."""
         return {
             "count": self._count,
-            "lost_on_link": self._dropped,
+            "lost_on_link": self._port.dropped,
             "connectors": len(self._port.get_connector_profiles()),
         }
 
     def _take(self, message: Message) -> None:
-        if not self._own.is_active:
-            self._dropped += 1
-            return
         self._count += 1
         self._deliver(message)
 
-    def _close(self) -> None:
-        self._monitor.close()
-        self._own.leave(self)
-        self._own.component.remove_port(self._port)
 
-
-class OwnSink(Sink):
+class OwnSink(_OwnChannel, Sink):
     """An OutPort of ours: what is sent goes to every connected port."""
 
     def __init__(self, own: OwnComponent, endpoint: Endpoint, name: str, type_id: str) -> None:
-        super().__init__(endpoint)
-        self._own = own
         self._count = 0
         self._port = own.component.add_out_port(name, type_id, own.types)
+        super().__init__(own, endpoint, self._port)
 
     def _send(self, message: Message) -> None:
-        """Write one message; a hung reader with `flush` costs its time limit."""
+        """Write one message; a hung reader with `flush` costs its time limit.
+
+        Raises:
+            BridgeError: our component is not active.
+        """
+        if not self._own.is_active:
+            raise BridgeError(f"{self.endpoint}: {_RESTS}", FailureReason.UNAVAILABLE)
         self._port.write(message)
         self._count += 1
 
@@ -103,9 +109,6 @@ class OwnSink(Sink):
             "dropped": self._port.dropped,
             "connectors": len(self._port.get_connector_profiles()),
         }
-
-    def _close(self) -> None:
-        self._own.component.remove_port(self._port)
 
 
 class OwnComponent:
@@ -131,35 +134,34 @@ class OwnComponent:
     ) -> None:
         self.types, self.orb, self.report, self.seconds = types, orb, report, seconds
         self._services = services
-        self.is_active = True
-        self._sources: dict[OwnSource, None] = {}
+        self._channels: dict[_OwnChannel, None] = {}
         # Guards `_closed` while the name is looked up and bound, from `close` in another thread.
         self._binding = threading.Lock()
         self._closed = False
-        callbacks = Callbacks(
-            activated=partial(self._judge, is_active=True),
-            deactivated=partial(self._judge, is_active=False),
-        )
-        self.component = RtComponent(
-            orb, ComponentProfile(name), callbacks=callbacks, seconds=seconds
-        )
+        self.component = RtComponent(orb, ComponentProfile(name), seconds=seconds)
         self.component.lifecycle.activate()
+        self.component.lifecycle.entered = self._judge
         with on_failure(self.component.close):
             self._bind()
 
-    def enter(self, source: OwnSource) -> None:
-        """Have a source notified whenever it is activated or deactivated; now, where it is not."""
-        self._sources[source] = None  # before the look, so that no change passes between
-        source.judge()
+    @property
+    def is_active(self) -> bool:
+        """Whether no other program has deactivated it."""
+        return bool(self.component.lifecycle.state == RTC.ACTIVE_STATE)
 
-    def leave(self, source: OwnSource) -> None:
-        """Notify a source no more."""
-        self._sources.pop(source, None)
+    def enter(self, channel: _OwnChannel) -> None:
+        """Have a channel judge whenever it is activated or deactivated, and now."""
+        with self.component.lifecycle.lock:  # no change passes in between
+            self._channels[channel] = None
+            channel.judge()
 
-    def _judge(self, *, is_active: bool) -> None:
-        self.is_active = is_active
-        for source in list(self._sources):
-            source.judge()
+    def leave(self, channel: _OwnChannel) -> None:
+        """Notify a channel no more."""
+        self._channels.pop(channel, None)
+
+    def _judge(self) -> None:
+        for channel in list(self._channels):
+            channel.judge()
 
     def service(
         self,
@@ -171,7 +173,13 @@ class OwnComponent:
         idl: str = "",
     ) -> Channel:
         """Open a CorbaPort of ours that provides an interface."""
-        servant = servant_of(interface, operation, handler)
+
+        def answer(message: Message) -> Message:
+            if not self.is_active:  # as OpenRTM's own components do
+                raise CORBA.OBJECT_NOT_EXIST(0, CORBA.COMPLETED_NO)
+            return handler(message)
+
+        servant = servant_of(interface, operation, answer)
         full = f"{self.component.profile.name}.{name}"
         options = RtmEndpointOptions.of_endpoint(endpoint)
         port = ServicePort(
@@ -185,7 +193,7 @@ class OwnComponent:
             idl=idl,
         )
         self.component.add_port(port)
-        return Channel(endpoint, lambda: self.component.remove_port(port))
+        return _OwnChannel(self, endpoint, port)
 
     def _bind(self) -> None:
         silent = []

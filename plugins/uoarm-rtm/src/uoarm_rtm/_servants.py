@@ -48,17 +48,21 @@ class Callbacks:
 
 
 class ComponentLifecycle:
-    """The state, and the calls that change it. Callbacks run in the caller's thread."""
+    """The state, and the calls that change it. Callbacks run in the caller's thread.
+
+    Attributes:
+        lock: held while the state changes and callbacks run. Transitions come in threads of the
+            ORB, steps in the context's, and never overlap. Re-entrant, since a callback may call
+            `fail`.
+        entered: called under it after each change.
+    """
 
     def __init__(self, callbacks: Callbacks) -> None:
         self._records = LimitedLog(_log, burst=2)  # the second is of the first one's aborting
         self._callbacks = callbacks
-        # Held while callbacks run: transitions come in threads of the ORB, steps in the context's,
-        # and never overlap. Re-entrant, since a callback may call `fail`.
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
         self.state: Any = RTC.INACTIVE_STATE
-        # The state is written under it, so that no change passes between a look and a wait.
-        self.changed = threading.Condition()
+        self.entered: Callable[[], None] = _nothing
 
     def activate(self) -> Any:
         """INACTIVE to ACTIVE."""
@@ -74,18 +78,18 @@ class ComponentLifecycle:
 
     def execute(self) -> None:
         """Run one step, when ACTIVE."""
-        with self._lock:
+        with self.lock:
             if self.state == RTC.ACTIVE_STATE and self._callbacks.executed is not None:
                 self._guarded(self._callbacks.executed)
 
     def fail(self) -> None:
         """ACTIVE to ERROR, as when a callback fails."""
-        with self._lock:
+        with self.lock:
             if self.state == RTC.ACTIVE_STATE:
                 self._abort()
 
     def _move(self, before: Any, after: Any, callback: Callable[[], None]) -> Any:
-        with self._lock:
+        with self.lock:
             if self.state != before:
                 return RTC.PRECONDITION_NOT_MET
             if not self._guarded(callback):
@@ -111,9 +115,8 @@ class ComponentLifecycle:
             self._records.write(logging.ERROR, text, error)
 
     def _enter(self, state: Any) -> None:
-        with self.changed:
-            self.state = state
-            self.changed.notify_all()
+        self.state = state
+        self.entered()
 
 
 class ContextServant(RTC__POA.ExecutionContextService):  # type: ignore[misc]  # generated

@@ -216,7 +216,8 @@ def servant_of(interface: IdlInterface, operation: str, handler: Handler) -> Any
         interface: what it serves.
         operation: the only one that it answers, its arguments being the request; empty for all,
             as `{operation, arguments}`.
-        handler: called in threads of the ORB, several at a time.
+        handler: called in threads of the ORB, several at a time. Where it raises OBJECT_NOT_EXIST,
+            so does the operation.
     """
     methods = {}
     for name, declared in interface.operations.items():
@@ -259,6 +260,8 @@ def _method(operation: IdlOperation, handler: Handler) -> Callable[..., Any]:
         except MessageError as error:
             text = f"a reply of {operation.name} does not fit its IDL: {error}"
             records.write(logging.ERROR, text, error)
+        except CORBA.OBJECT_NOT_EXIST:
+            raise
         except Exception as error:  # noqa: BLE001 - the caller gets UNKNOWN, whatever it was
             text = f"a function that serves {operation.name} failed: {text_of(error)}"
             records.write(logging.ERROR, text, error)

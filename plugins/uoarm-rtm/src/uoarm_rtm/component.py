@@ -103,10 +103,12 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         types: Types,
         take: Callable[[Message], None],
         rate: float = 0.0,
+        unreadable: Callable[[str], object] = lambda _: None,
     ) -> InPort:
         """Add a port that takes messages; `take` gets them while the component is ACTIVE.
 
-        With a `rate`, OutPorts that wait to be asked are asked so often a second.
+        With a `rate`, OutPorts that wait to be asked are asked so often a second. What comes while
+        it is not ACTIVE is counted in `dropped`; `unreadable` gets why a message is none.
 
         Raises:
             BridgeError: the type is not known, or there is another port of that name.
@@ -115,10 +117,12 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         def taken(message: Message) -> None:
             if self.lifecycle.state == RTC.ACTIVE_STATE:
                 take(message)
+            else:
+                port.dropped += 1
 
         codec = types.codec(type_id)
         full = f"{self.profile.name}.{name}"
-        port = InPort(self._orb, full, codec, taken, self._seconds, rate)
+        port = InPort(self._orb, full, codec, taken, self._seconds, rate, unreadable)
         self.add_port(port)
         return port
 
