@@ -151,6 +151,24 @@ def test_an_abandoned_order_stays_so_where_its_goal_is_cancelled_before_it_is_se
     assert cancels(fleet.state(state(vehicle), 9.0))
 
 
+@BOTH
+def test_a_cancellation_that_failed_is_sent_again_as_another_action(release: str) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    fleet.goal(goal("a", "b", order="one"), 0.0)
+    (order,) = fleet.state(state(vehicle), 0.0)
+    assert isinstance(order, Send)
+    assert vehicle.order(order.body)
+    fleet.connection(False, "it is gone")
+    fleet.connection(True, "")
+    (first,) = cancels(fleet.state(state(vehicle), 9.0))
+    (lost,) = cancels(fleet.state(state(vehicle), 19.0))
+    assert lost == first, "no state shows it: the vehicle may not have got it"
+    vehicle.instant({**first, "actionType": "unknown"})  # which fails
+    for action in cancels(fleet.state(state(vehicle), 29.0)):
+        vehicle.instant(action)
+    assert vehicle.is_idle
+
+
 def test_a_cancellation_is_finished_however_many_actions_follow_it() -> None:
     vehicle = VehicleState(RELEASES["3.0"], frozenset())
     vehicle.order(Order.of(goal("a", "b"), "one", RELEASES["3.0"], 10).body)

@@ -382,10 +382,11 @@ class TransportState:
         if not known.is_busy:
             del self._abandoned[known.order_id]
             return []
-        if known.instants.get(action_id) in {"WAITING", "INITIALIZING", "RUNNING"}:
+        status = known.instants.get(action_id)
+        if status in {"WAITING", "INITIALIZING", "RUNNING"} or now < self._abandoned_at:
             return []
-        if now < self._abandoned_at:
-            return []
+        if status is not None:  # it has ended, and the vehicle does nothing for an action twice
+            action_id = self._abandoned[known.order_id] = self._new_id()
         self._abandoned_at = now + self.times.repeat
         return [self._cancelling(action_id, known.order_id)]
 
