@@ -42,6 +42,28 @@ def test_what_is_judged_well_of_a_component_covers_up_no_other_judgment() -> Non
     assert causes.messages[:4] == ["it is inactive", "it is hot", "it is inactive", "it is active"]
 
 
+def test_what_is_opened_at_a_bridge_that_is_not_well_is_so_until_that_is() -> None:
+    bridge = MemoryBridge()
+    bridge.loop("both", NUMBER)
+    with RobotManager(loads(ROBOT), bridges={"memory": bridge}) as robot:
+        said = Collector()
+        robot.listen(lambda event: said.deliver(event.subject))
+        bridge.report(Health.DEGRADED, "the cable is loose")
+        said.wait_for(lambda subject: subject == "bridge memory")
+        for _ in range(2):
+            with robot.request("both"):
+                (status,) = robot.status().components
+                assert (status.health, status.cause) == (Health.DEGRADED, "the cable is loose")
+        with robot.request("both"):
+            bridge.report(Health.OK, "the cable is firm")
+            said.wait_for(lambda subject: subject == "component both")
+            (status,) = robot.status().components
+            assert (status.health, status.cause) == (Health.OK, "the cable is firm")
+        with robot.request("both"):
+            (status,) = robot.status().components
+            assert status.health is Health.OK
+
+
 def test_what_is_well_covers_up_nothing() -> None:
     bridge = MemoryBridge()
     loop = bridge.loop("both", NUMBER)

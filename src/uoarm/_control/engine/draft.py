@@ -468,6 +468,10 @@ class Draft(State):
         if record is None:
             record = ComponentRecord(self.new_id(), step)
             self.serving = self.serving.insert(name, record.id)
+            trouble = self.troubled.get(step.component.bridge)
+            if trouble is not None:
+                health = record.health.noted("bridge", Health.DEGRADED, trouble)
+                record = record._replace(health=health)
         elif record.only_drains and _is_commanded(step.component):
             self.recalled = self.recalled.insert(record.id)
         record = record.used_by(record.users.insert(user))

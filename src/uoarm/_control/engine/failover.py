@@ -36,6 +36,10 @@ def health_reported(draft: Draft, event: ev.HealthReported) -> None:
     if event.component is None:
         subject = f"bridge {event.bridge}"
         draft.do(act.Announce(subject, event.health.value, event.cause))
+        # It is said once, and holds for what is opened later, too.
+        draft.troubled = draft.troubled.discard(event.bridge)
+        if event.health is Health.DEGRADED:
+            draft.troubled = draft.troubled.insert(event.bridge, event.cause)
     lost: list[int] = []
     for name in concerned:
         number = draft.serving.get(name)

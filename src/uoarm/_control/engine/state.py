@@ -229,6 +229,7 @@ class State:
     Attributes:
         policy: whether, how often, and whether to return.
         bridges: the bridge of each component of the configuration.
+        troubled: why a whole bridge is degraded, by its name.
         parts: with the batch that opens each; where that is over, the part is open.
         serving: the instance of each component that new users share.
         feeding: the edge that feeds each input.
@@ -253,6 +254,7 @@ class State:
 
     policy: FailoverPolicy
     bridges: Mapping[str, str]
+    troubled: HashTrieMap[str, str] = NOTHING
     # The invariants below are checked after each event by `World.check` in tests/control/world.py.
     # Of several that may be meant, the oldest acts first.
     connections: HashTrieMap[str, ConnectionRecord] = NOTHING
