@@ -242,9 +242,6 @@ class Log:
 
     Args:
         name: of the logger.
-
-    Attributes:
-        logger: it.
     """
 
     def __init__(self, name: str) -> None:

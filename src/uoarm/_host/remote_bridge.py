@@ -68,7 +68,6 @@ class RemoteChannel(Channel):
 
     Args:
         number: its number in the host.
-        ask: asks the host.
         when_closed: what else ends with it.
         given: what else its kind of channel takes.
     """

@@ -442,8 +442,6 @@ class LiveEdge:
     """An edge between two open components.
 
     Args:
-        producer: the open component at its beginning.
-        consumer: the open component at its end.
         strictness: gives how many messages its strictest user wishes to be checked now.
         held: whether messages wait for `release`, because another edge feeds the input still;
             those that come meanwhile are dropped and counted.

@@ -39,7 +39,6 @@ class OutputChannel:
 
     Attributes:
         number: by which viewers name it.
-        function: whose output it is.
         port: empty for the only one.
         codec: how its messages are encoded.
         is_view: whether it has what viewers draw, not the messages as they are.
@@ -183,7 +182,6 @@ class ListingQuestion:
     """What a session asks: what its role sees now, and what is new beside what its viewer knows.
 
     Attributes:
-        role: of the client.
         known: the listing whose channels and services the viewer has.
         graph: the listing whose graph it has; None: it wants none.
         names: of the parameters whose changes it wants.
@@ -216,9 +214,6 @@ class _FunctionListing:
 
 class ChannelCatalogue:
     """What all viewers of one server are shown.
-
-    Args:
-        backend: of the robot.
 
     Attributes:
         identity: that no other server has: the numbers of channels are of this one.

@@ -207,13 +207,6 @@ class AgentActions:
     """What one agent does and asks approval for, in the server's loop.
 
     Each begins with a goal; what ends at once is answered at once.
-
-    Args:
-        client: whose.
-        backend: the robot.
-        kept: where large values go.
-        streams: what it has open.
-        goals: what it began.
     """
 
     _client: StatelessClient

@@ -68,7 +68,6 @@ class FunctionTool:
     """A tool that is made of a function.
 
     Attributes:
-        function: the function.
         kind: what it does with it.
         port: the input that it sends to, the first output that it reads; empty: the only one.
         outputs: those that it can read.
@@ -131,7 +130,6 @@ class CatalogueMaker:
     """Makes the catalogue of each role, once for each configuration; in the server's loop.
 
     Args:
-        backend: the robot.
         found: called when a plan is found that a catalogue did not wait for.
     """
 

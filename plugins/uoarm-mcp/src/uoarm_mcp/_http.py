@@ -197,13 +197,7 @@ async def _end_session(
 
 
 class AdmittingApp:
-    """Lets a request in as the server lets in a WebSocket, and bounds what it brings.
-
-    Args:
-        place: whom to let in.
-        service: what agents have.
-        sessions: what answers.
-    """
+    """Lets a request in as the server lets in a WebSocket, and bounds what it brings."""
 
     def __init__(self, place: HttpPlace, service: AgentService, sessions: GuestSessions) -> None:
         self._place = place

@@ -52,18 +52,7 @@ _Tool = Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]
 
 @define(eq=False)
 class RobotTools:
-    """These tools for one agent, in the server's loop.
-
-    Args:
-        client: whose.
-        backend: the robot.
-        catalogues: what roles have.
-        discoveries: what bridges see.
-        actions: asks for approvals.
-        kept: where large values go.
-        streams: what it has open.
-        goals: what it began.
-    """
+    """These tools for one agent, in the server's loop."""
 
     _client: StatelessClient
     _backend: Backend

@@ -92,9 +92,6 @@ class ToolArguments:
 
     A message that is an object is the arguments themselves, with `x-approval` beside its fields;
     any other one is their field `message`.
-
-    Args:
-        structure: of the message.
     """
 
     def __init__(self, structure: MessageStructure) -> None:

@@ -121,14 +121,7 @@ def _page(
 
 
 class Agent:
-    """All requests of one client, in the server's loop.
-
-    Args:
-        client: whose.
-        backend: the robot.
-        catalogues: what roles have.
-        discoveries: what bridges see.
-    """
+    """All requests of one client, in the server's loop."""
 
     def __init__(
         self,
@@ -296,8 +289,6 @@ class AgentService:
     """The agents of one server, and the protocol that all of them speak.
 
     Args:
-        backend: the robot.
-        discoveries: what its bridges see.
         local: the client of requests that come without HTTP; None: there are none.
     """
 

@@ -112,7 +112,6 @@ class AgentStreams:
     What is not used for half a minute is closed, and with it what it moved is stopped.
 
     Args:
-        backend: the robot.
         account: charged for it.
         holder: as whom the agent commands inputs that have a lease.
     """

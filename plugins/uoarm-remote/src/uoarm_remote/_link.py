@@ -80,8 +80,6 @@ class ManagerLink:
     """One connection to another manager.
 
     Args:
-        name: of the bridge.
-        options: of the bridge.
         identity: returns the identity of the manager that asks.
         report: called with the health of the bridge, and why, in the link's thread.
     """

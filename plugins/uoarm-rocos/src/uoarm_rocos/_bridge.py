@@ -98,8 +98,6 @@ class RocosBridge(Bridge):
     the bridge is closed.
 
     Args:
-        name: of the instance.
-        options: the devices.
         wire: makes the parts of a line; replaces the plain-XML profile.
     """
 

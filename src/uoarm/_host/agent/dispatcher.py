@@ -33,7 +33,6 @@ class RequestDispatcher:
     """Answers a manager's requests with a bridge, each in a thread of its own.
 
     Args:
-        bridge: the bridge of this host.
         end: called when the manager has closed the bridge.
         counters: where flows are counted; None where the manager shares no memory.
         before_moving: called before an input is opened that must be stopped when all else ends.
