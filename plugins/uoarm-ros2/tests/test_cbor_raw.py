@@ -3,45 +3,32 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 from endpoints import Start
-from peers import OPTIONS
 from rclpy.serialization import deserialize_message
+from robots import rosbridge
 from sensor_msgs.msg import Image
 from websockets.sync.client import connect
 
-from uoarm import RobotManager
 from uoarm._wire import read_binary
-from uoarm.config import loads
 from uoarm.model import Budget, BudgetUse
-from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience
 
 SIZE = 921_600
-CONFIGURATION = f"""
-version: 1
-bridges:
-  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
-functions:
+PICTURES = """
   pictures:
     components:
       - name: pictures
         bridge: ros
-        output: {{endpoint: [/raw/pictures, sensor_msgs/msg/Image]}}
+        output: {endpoint: [/raw/pictures, sensor_msgs/msg/Image]}
 """
 
 
 def test_a_picture_of_ros_2_comes_out_as_ros_2_has_it(peer: Start) -> None:
     doer = peer("doer")
     doer.do("advertise", topic="/raw/pictures", kind="Image")
-    robot = loads(CONFIGURATION, origin=str(Path(__file__).with_name("robot.yaml")))
-    with (
-        RobotManager(robot) as manager,
-        serve_in_thread(manager, ServerOptions(port=0)) as server,
-        connect(f"ws://127.0.0.1:{server.ports[0]}/rosbridge", max_size=None) as client,
-    ):
+    with rosbridge(PICTURES) as (_, url), connect(url, max_size=None) as client:
         wish = {"op": "subscribe", "topic": "/uoarm/pictures", "compression": "cbor-raw"}
         client.send(json.dumps(wish))
         doer.do("subscriptions", topic="/raw/pictures", expected=1)

@@ -8,27 +8,15 @@ from pathlib import Path
 
 import pytest
 from endpoints import INT64, Start, reaches
-from peers import MORTAL, OPTIONS
+from peers import MORTAL
+from robots import robot
 
 from uoarm import RobotManager
-from uoarm.config import loads
 from uoarm.errors import MessageError, ResolutionError
 from uoarm.model import ConnectionState, QueuePolicy, StatusEvent
 from uoarm.testing import patience, wait
 
 LATE_SECONDS = 2.0  # twice as long as a host waits for a reader of anything else
-
-
-def robot(functions: str, more: str = "", host: str = "") -> RobotManager:
-    text = f"""
-version: 1
-{more}
-bridges:
-  ros: {{plugin: ros2, options: {{{OPTIONS}}}{host}}}
-functions:
-{functions}
-"""
-    return RobotManager(loads(text, origin=str(Path(__file__).with_name("robot.yaml"))))
 
 
 HOSTS = ["", f", host: {{silence: {patience()}, start: {patience()}}}"]
@@ -186,15 +174,7 @@ def tags(folder: Path, component: str = "") -> RobotManager:
     definition.parent.mkdir(parents=True, exist_ok=True)
     definition.write_text("string<=22 name\nwstring<=22 wide\nstring note\n")
     functions = TAGS.replace("FROM", f"from: {component}" if component else "")
-    text = f"""
-version: 1
-bridges:
-  ros: {{plugin: ros2, options: {{{OPTIONS}, definitions: ["{folder}"]}}}}
-  python: {{plugin: python}}
-functions:
-{functions}
-"""
-    return RobotManager(loads(text, origin=str(Path(__file__).with_name("robot.yaml"))))
+    return robot(functions, definitions=folder)
 
 
 @pytest.mark.parametrize(

@@ -8,25 +8,15 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from endpoints import endpoint
-from peers import OPTIONS
+from robots import rosbridge
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_ros2._installed import structure_of_type
 from websockets.sync.client import connect
 
-from uoarm import RobotManager
 from uoarm.bridge import Bridge
 from uoarm.cli import main
-from uoarm.config import loads
 from uoarm.model import Role
-from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience
-
-ROBOT = f"""
-version: 1
-bridges:
-  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
-functions: {{}}
-"""
 
 
 @pytest.mark.parametrize("name", ["sensor_msgs/msg/Imu", "test_msgs/msg/Arrays"])
@@ -133,12 +123,7 @@ print("rclpy" in sys.modules, "antigravity" in sys.modules)
 
 
 def test_clients_of_rosbridge_share_messages_of_real_types() -> None:
-    robot = loads(ROBOT, origin=str(Path(__file__).with_name("robot.yaml")))
-    with (
-        RobotManager(robot) as manager,
-        serve_in_thread(manager, ServerOptions(port=0)) as server,
-        connect(f"ws://127.0.0.1:{server.ports[0]}/rosbridge") as client,
-    ):
+    with rosbridge("  {}") as (manager, url), connect(url) as client:
 
         def send(**fields: object) -> None:
             client.send(json.dumps(fields))

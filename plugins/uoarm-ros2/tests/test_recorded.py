@@ -8,20 +8,15 @@ from typing import Any
 import pytest
 from endpoints import INT64, Start
 from mcap.reader import make_reader
-from peers import OPTIONS
 from rclpy.serialization import serialize_message
+from robots import robot
 from std_msgs.msg import Int64
 
-from uoarm import RobotManager
 from uoarm.cdr import Codec
-from uoarm.config import loads
 from uoarm.model import Message, QueuePolicy
 from uoarm.testing import patience, wait
 
-ROBOT = f"""
-version: 1
-bridges: {{ros: {{plugin: ros2, options: {{{OPTIONS}}}}}}}
-functions:
+NUMBERS = f"""
   numbers:
     components:
       - {{name: numbers, bridge: ros, output: {{endpoint: [/numbers, {INT64}],
@@ -43,8 +38,8 @@ def test_the_octets_are_those_that_came(
     talker.do("advertise", topic="/numbers", history="keep_all")
     queue = QueuePolicy(length=1000, policy="block", timeout=patience())
     with (
-        RobotManager(loads(ROBOT, origin=str(path.with_name("robot.yaml")))) as robot,
-        robot.record("numbers", path=path, queue=queue) as recording,
+        robot(NUMBERS) as manager,
+        manager.record("numbers", path=path, queue=queue) as recording,
     ):
         monkeypatch.setattr(Codec, "encode", counted)
         talker.do("publish", topic="/numbers", count=100)

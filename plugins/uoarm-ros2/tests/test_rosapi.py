@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-from peers import OPTIONS
+from robots import rosbridge
 from websockets.sync.client import connect
 
-from uoarm import RobotManager
-from uoarm.config import loads
-from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import patience
 
 pytest.importorskip("uoarm_rosbridge", reason="pip install -e plugins/uoarm-rosbridge")
 
 ACTION = "/fibonacci, test_msgs/action/Fibonacci"
-ROBOT = f"""
-version: 1
-bridges:
-  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
-functions:
+FUNCTIONS = f"""
   drive:
     components:
       - name: base
@@ -56,12 +48,7 @@ Send = Callable[..., Any]
 @pytest.fixture(scope="module")
 def ask() -> Iterator[Send]:
     """Send an operation of rosbridge and return its answer."""
-    robot = loads(ROBOT, origin=str(Path(__file__).with_name("robot.yaml")))
-    with (
-        RobotManager(robot) as manager,
-        serve_in_thread(manager, ServerOptions(port=0)) as server,
-        connect(f"ws://127.0.0.1:{server.ports[0]}/rosbridge") as client,
-    ):
+    with rosbridge(FUNCTIONS) as (manager, url), connect(url) as client:
         for component in ("base", "imu", "flag", "fibonacci"):
             manager.structures(component, timeout=patience())
 

@@ -5,20 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from endpoints import Start
-from peers import OPTIONS
+from robots import rosbridge
 from tests.processes import run_python  # type: ignore[import-not-found]
-
-from uoarm import RobotManager
-from uoarm.config import loads
-from uoarm.server import ServerOptions, serve_in_thread
 
 CLIENT = Path(__file__).with_name("action_client.py")
 ADDRESS = "/fibonacci, test_msgs/action/Fibonacci"
-CONFIGURATION = f"""
-version: 1
-bridges:
-  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
-functions:
+ACTION = f"""
   fibonacci:
     components:
       - name: fibonacci
@@ -35,12 +27,7 @@ functions:
 
 def test_roslibpy_sends_goals_to_an_action(peer: Start) -> None:
     peer("doer", "threads").do("act", name="/fibonacci")
-    robot = loads(CONFIGURATION, origin=str(Path(__file__).with_name("robot.yaml")))
-    with (
-        RobotManager(robot) as manager,
-        serve_in_thread(manager, ServerOptions(port=0)) as server,
-    ):
-        url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
+    with rosbridge(ACTION) as (_, url):
         done = run_python(CLIENT, url)
     assert done.stdout == "done\n", done.stdout + done.stderr
 
@@ -60,21 +47,17 @@ reply = service.call(roslibpy.ServiceRequest({"int64_value": 5}), timeout=patien
 print(reply["int64_value"])
 ros.close()
 """
-FIELDS = f"""
-version: 1
-bridges:
-  ros: {{plugin: ros2, options: {{{OPTIONS}}}}}
-functions:
+FIELDS = """
   picture:
     components:
       - name: picture
         bridge: ros
-        input: {{endpoint: [/picture, sensor_msgs/msg/Image]}}
+        input: {endpoint: [/picture, sensor_msgs/msg/Image]}
   increment:
     components:
       - name: increment
         bridge: ros
-        service: {{endpoint: [/increment, test_msgs/srv/BasicTypes]}}
+        service: {endpoint: [/increment, test_msgs/srv/BasicTypes]}
 """
 
 
@@ -86,12 +69,7 @@ def test_fields_that_a_client_leaves_out_are_filled_as_by_rosbridge(
     listener.do("subscribe", topic="/picture", kind="Image")
     program = tmp_path / "partly.py"
     program.write_text(PARTLY)
-    robot = loads(FIELDS, origin=str(Path(__file__).with_name("robot.yaml")))
-    with (
-        RobotManager(robot) as manager,
-        serve_in_thread(manager, ServerOptions(port=0)) as serving,
-    ):
-        url = f"ws://127.0.0.1:{serving.ports[0]}/rosbridge"
+    with rosbridge(FIELDS) as (_, url):
         done = run_python(program, url)
         assert done.stdout == "6\n", done.stdout + done.stderr
         assert listener.do("report", topic="/picture", expected=1) == [7]
