@@ -42,7 +42,8 @@ from uoarm.model import (
 from uoarm.server.access._admission import RefusedError, read_head
 
 BUDGET = Budget(octets=65_536, elements=200, depth=12, dimensions=4)
-_LONGEST_ERROR = 2000
+_LONGEST_LINE = 2000  # of an error
+_MOST_LINES = 51  # what is wrong with a configuration, and how many more there are
 _STRUCTURE = MessageStructure(
     {
         "type": "object",
@@ -76,7 +77,9 @@ class Target:
         try:
             self.decode(data)
         except self.refuses as error:
-            assert len(str(error)) <= _LONGEST_ERROR, "an error that quotes its input"
+            lines = str(error).splitlines()
+            is_short = len(lines) <= _MOST_LINES and len(max(lines, key=len)) <= _LONGEST_LINE
+            assert is_short, "an error that quotes its input"
             return False
         return True
 
@@ -232,6 +235,7 @@ _CORE: Mapping[str, Target] = {
         (
             _CONFIGURATION,
             b"a: &b [1, *b]\n? {c: !!str 1}\n: >-\n  d\n",
+            b"bridges: {%s}" % b", ".join(b"a b%d" % number for number in range(30)),
         ),
     ),
 }
