@@ -16,7 +16,7 @@ from tests.server.test_dashboard import GUEST, manage
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
-from uoarm.model import QueuePolicy
+from uoarm.model import Health, QueuePolicy
 from uoarm.server import Server, hash_token
 from uoarm.testing import MemoryBridge, patience, wait
 
@@ -32,6 +32,11 @@ JSON.stringify([...document.querySelectorAll(".panel button")].map((button) => {
   const { x, y } = button.getBoundingClientRect();
   return [button.textContent.trim(), x, y];
 }))
+"""
+# Whether something is written or drawn at the numbers of a plot's axis, above those of the time.
+MARKS = """
+((canvas) => canvas && canvas.getContext("2d").getImageData(0, 0, 50, canvas.height / 2).data
+  .some((value) => value > 0))(document.querySelector(".plot canvas"))
 """
 # Cards that a panel, a button or the edge of the graph covers in part.
 COVERED = """
@@ -168,6 +173,26 @@ class TestSenses:
         browser.until(says(".bar .button[aria-pressed=true]", "Resume"))
         browser.until("location.hash.includes('fields=turn%2Cstill')")
         assert browser.js("document.querySelector('.plot canvas').clientWidth") > 300
+
+    def test_the_axis_of_very_large_numbers_has_marks(
+        self, browser: Browser, visit: Visit, senses: Senses
+    ) -> None:
+        visit("#/graph/function/speed/use")
+        self.watch(browser, "speed")
+        for number in range(5):
+            senses.of["speed"].emit({"forward": 0, "turn": 3.4e38 * (-1) ** number, "still": 1})
+        browser.until(MARKS)
+
+    def test_what_is_pressed_stays_where_it_is_as_a_cause_comes(
+        self, browser: Browser, visit: Visit, robot: RobotManager, senses: Senses
+    ) -> None:
+        with robot.request("speed"):
+            visit("#/graph/function/speed")
+            browser.until(says(".panel-body", "Kill"))
+            before = browser.js(BUTTONS)
+            senses.report(Health.DEGRADED, "it is hot")
+            browser.until(says(".panel-body", "it is hot"))
+            assert browser.js(BUTTONS) == before
 
     def test_the_rate_of_a_port_has_three_figures_at_most(
         self, browser: Browser, visit: Visit, robot: RobotManager, senses: Senses

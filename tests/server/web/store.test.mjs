@@ -26,6 +26,8 @@ async function show(context) {
   const answers = { List: { functions: [] }, Status: STATUS, Approve: { approvals: [] } };
   const store = new Store("ws://x/", { socket: Socket, frame: (act) => frames.push(act) });
   const page = {
+    store,
+    answers,
     statuses: () => asked.filter(({ op }) => op === "Status").length,
     async answer() {
       for (const { op, id } of asked.splice(0)) Socket.made.deliver({ op: "Reply", id, jsonMessage: answers[op] });
@@ -56,6 +58,18 @@ test("the status is asked every second, and not again before it was answered", a
   await page.answer();
   page.pass(1000);
   assert.equal(page.statuses(), 1);
+});
+
+test("whose a connection was is known for as long as an event of it is there", async (context) => {
+  const page = await show(context);
+  for (let turn = 0; turn < 15; turn += 1) {
+    const connections = [...Array(100).keys()].map((at) => ({ id: `c${100 * turn + at}`, function: "f", components: [] }));
+    page.answers.Status = { ...STATUS, connections: [{ id: "c", function: "g", components: [] }, ...connections] };
+    page.pass(1000);
+    await page.answer();
+  }
+  const { owners } = page.store;
+  assert.deepEqual([owners.size, owners.get("c"), owners.has("c399"), owners.has("c400")], [1101, "g", false, true]);
 });
 
 test("what takes long to draw is drawn less often", async (context) => {

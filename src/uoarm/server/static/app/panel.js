@@ -40,15 +40,16 @@ function Use({ store, func, panel, act, keep }) {
 function Overview({ store, func }) {
   const connections = store.system.connections.filter((other) => other.function === func.name);
   return html`
-    <h3>Components, in the order in which they are tried</h3>
-    <ul class="parts">${func.rows.map((row) => html`<${Part} key=${row.name} row=${row} />`)}</ul>
     <h3>Applications that use it</h3>
     ${connections.length === 0 && html`<p class="quiet">None at this moment.</p>`}
     <ul class="parts">${connections.map((other) => html`
       <li key=${other.id}><div class="part-head"><b>${nameOf(other)}</b><span>${other.state}</span>
         <span class="push">${rate(other.rate)}</span><${Kill} store=${store} connection=${other} /></div>
         ${holdersOf(other).map((holder) => html`<p class="hint">${holder}</p>`)}</li>`)}</ul>
-    ${!func.service && html`<${Recordings} store=${store} name=${func.name} />`}`;
+    ${!func.service && html`<${Recordings} store=${store} name=${func.name} />`}
+    ${/* Last: a cause that comes would move what is pressed below it. */ ""}
+    <h3>Components, in the order in which they are tried</h3>
+    <ul class="parts">${func.rows.map((row) => html`<${Part} key=${row.name} row=${row} />`)}</ul>`;
 }
 
 const Part = ({ row }) => html`

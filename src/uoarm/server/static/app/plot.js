@@ -12,6 +12,8 @@ const EVERY = 100; // milliseconds between two drawings
 const AT_FIRST = 4; // lines
 const HEIGHT = 190;
 const LINES = 6; // colours
+// Between two marks of an axis: those of uPlot end at 5e32.
+const STEPS = [...Array(616).keys()].flatMap((at) => [1, 2, 2.5, 5].map((part) => Number(`${part}e${at - 308}`)));
 
 /** Args: a watch with its series, the output that it is of, the panel's options, and choose(options). */
 export function Plots({ store, func, output, watch, options, choose }) {
@@ -95,7 +97,7 @@ function lookOf(place, unit, paths) {
     cursor: { drag: { x: false, y: false } },
     scales: { x: { time: true }, y: { range: (_, low, high) => padded(low, high) } },
     axes: [{ ...axis, space: 70, values: (_, times) => times.map((time) => clockOf(time)) },
-      { ...axis, size: 58, label: unit || undefined, labelSize: 18, values: (_, numbers) => numbers.map((number) => short(number)) }],
+      { ...axis, size: 58, incrs: STEPS, label: unit || undefined, labelSize: 18, values: (_, numbers) => numbers.map((number) => short(number)) }],
     series: [{ label: "time", value: (_, time) => (time == null ? "–" : clockOf(time, true)) },
       ...paths.map((path, at) => ({ label: path, stroke: colour(`--line-${at % LINES}`), width: 1.6, value, points: { show: false } }))],
   };

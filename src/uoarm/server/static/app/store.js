@@ -145,9 +145,21 @@ export class Store {
     this.status = status;
     if (this.trouble?.holds === (status.held != null)) this.trouble = null;
     this.watches.see(status);
-    for (const connection of status.connections) this.owners.set(connection.id, connection.function);
+    this.#keepOwners(status.connections);
     this.system = join(this.functions, status, this.events, this.hello?.session);
     this.changed();
+  }
+
+  /** Those that have ended longest ago are forgotten: no event is left of them. */
+  #keepOwners(connections) {
+    for (const { id, function: owner } of connections) {
+      this.owners.delete(id); // so that it is the newest
+      this.owners.set(id, owner);
+    }
+    for (const id of this.owners.keys()) {
+      if (this.owners.size <= connections.length + MOST_EVENTS) break;
+      this.owners.delete(id);
+    }
   }
 
   #happened(report) {
