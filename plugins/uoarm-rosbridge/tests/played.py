@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import os
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from websockets.sync.server import ServerConnection, serve
 
 from uoarm.bridge import Bridge, Registry
-from uoarm.model import BridgeSpec, Endpoint, Role
+from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
 from uoarm.testing import patience
 
 STRING = {
@@ -30,6 +30,7 @@ class Played:
     Attributes:
         came: all operations, in their order.
         sockets: on which something was done beside calls.
+        on: says more to an operation; a test replaces it.
     """
 
     def __init__(self, answers: Mapping[str, object]) -> None:
@@ -38,6 +39,7 @@ class Played:
         self.sockets: list[ServerConnection] = []
         self._all: list[ServerConnection] = []
         self._port = 0
+        self.on: Callable[[ServerConnection, Any], object] = lambda *_: None
         self.start()
 
     @property
@@ -86,8 +88,15 @@ class Played:
                 socket.send(json.dumps(answer))
             self.on(socket, fields)
 
-    def on(self, socket: ServerConnection, fields: Any) -> None:
-        """Say more to an operation; a test replaces it."""
+    def refuse(self, operation: str, why: str, data: object = None) -> None:
+        """Refuse operations of this kind from now on; of publish only those with this data."""
+
+        def on(socket: ServerConnection, fields: Any) -> None:
+            if fields["op"] == operation and (data is None or fields["msg"]["data"] == data):
+                status = {"op": "status", "level": "error", "msg": why, "id": fields["id"]}
+                socket.send(json.dumps(status))
+
+        self.on = on
 
     def close(self) -> None:
         self.stop()
@@ -112,6 +121,12 @@ def bridge_to(address: str, **options: object) -> Iterator[Bridge]:
         yield bridge
     finally:
         bridge.close()
+
+
+def stream(bridge: Bridge, endpoint: Endpoint) -> MessageStructure:
+    structure = bridge.describe(endpoint).message
+    assert structure is not None
+    return structure
 
 
 def asked(played: Played, op: str) -> list[Any]:

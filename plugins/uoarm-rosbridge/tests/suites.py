@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from played import stream
 from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import BridgeError
-from uoarm.model import BridgeSpec, Endpoint, Message, MessageStructure, Role
+from uoarm.model import BridgeSpec, Endpoint, Message, Role
 from uoarm.testing import Collector, patience
 
 WIDTH, HEIGHT = 64, 48
@@ -29,12 +30,6 @@ def is_there(bridge: Bridge, endpoint: Endpoint) -> bool:
     except BridgeError:
         return False
     return True
-
-
-def stream(bridge: Bridge, endpoint: Endpoint) -> MessageStructure:
-    structure = bridge.describe(endpoint).message
-    assert structure is not None
-    return structure
 
 
 class EitherSuite:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import trustme
 from attrs import evolve
-from played import LISTEN, STRING, TALK, Played, asked, bridge_to
+from played import LISTEN, STRING, TALK, Played, asked, bridge_to, stream
 from ros import Serve, url
 from tests.hostile import misbehaviour  # type: ignore[import-not-found]
 from tests.inbox import health_events  # type: ignore[import-not-found]
@@ -25,7 +25,6 @@ from uoarm_rosbridge.client import _connection, _options
 from uoarm_rosbridge.client._connection import json_text
 from uoarm_rosbridge.client._options import ClientOptions, Port, mistake
 from uoarm_rosbridge.client._types import read_types, reader, structure_of, writer
-from websockets.sync.server import ServerConnection
 
 from uoarm import RobotManager
 from uoarm.bridge import HealthEvent, options_table
@@ -153,8 +152,7 @@ def test_a_redirection_is_said_with_what_to_do() -> None:
 def test_a_message_of_a_topic_comes_once_to_each_source(played: Played) -> None:
     first, second = Collector(), Collector()
     with bridge_to(played.url) as bridge:
-        structure = bridge.describe(TALK).message
-        assert structure is not None
+        structure = stream(bridge, TALK)
         sources = [bridge.open_source(TALK, structure, to.deliver) for to in (first, second)]
         assert len(asked(played, "subscribe")) == 1  # the server sends one message to one client
         message = {"op": "publish", "topic": "/chatter", "msg": {"data": "Kia ora"}}
@@ -167,17 +165,10 @@ def test_a_message_of_a_topic_comes_once_to_each_source(played: Played) -> None:
 
 
 def test_what_the_server_refuses_is_said(played: Played) -> None:
-    def refuse(socket: ServerConnection, fields: Any) -> None:
-        if fields["op"] == "publish":
-            status = {"op": "status", "level": "error", "msg": "denied", "id": fields["id"]}
-            socket.send(json.dumps(status))
-
-    played.on = refuse  # type: ignore[method-assign]  # what a test replaces
+    played.refuse("publish", "denied")
     with bridge_to(played.url) as bridge:
         events = health_events(bridge)
-        structure = bridge.describe(LISTEN).message
-        assert structure is not None
-        sink = bridge.open_sink(LISTEN, structure)
+        sink = bridge.open_sink(LISTEN, stream(bridge, LISTEN))
         sink.send({"data": "x"})
         eventually(lambda: events, "a refused message is reported")
         assert events[0].health is Health.DEGRADED
@@ -187,15 +178,9 @@ def test_what_the_server_refuses_is_said(played: Played) -> None:
 
 @pytest.mark.parametrize("ends_with", ["another message", "another connection"])
 def test_a_refusal_is_over_with_what_came_after_it(played: Played, ends_with: str) -> None:
-    def refuse(socket: ServerConnection, fields: Any) -> None:
-        if fields["op"] == "publish" and fields["msg"]["data"] == "x":
-            status = {"op": "status", "level": "error", "msg": "denied", "id": fields["id"]}
-            socket.send(json.dumps(status))
-
-    played.on = refuse  # type: ignore[method-assign]  # what a test replaces
+    played.refuse("publish", "denied", "x")
     with bridge_to(played.url, check=0.05) as bridge:
-        structure = bridge.describe(LISTEN).message
-        assert structure is not None
+        structure = stream(bridge, LISTEN)
         events = health_events(bridge)
         sink = bridge.open_sink(LISTEN, structure)
         sink.send({"data": "x"})
@@ -216,8 +201,7 @@ def test_a_refusal_is_over_with_what_came_after_it(played: Played, ends_with: st
 
 def test_a_type_is_compared_as_soon_as_it_is_known_again(played: Played) -> None:
     with bridge_to(played.url, check=0.05) as bridge:
-        structure = bridge.describe(LISTEN).message
-        assert structure is not None
+        structure = stream(bridge, LISTEN)
         events = health_events(bridge)
         sink = bridge.open_sink(LISTEN, structure)
         details = played.answers.pop("message_details")
@@ -252,15 +236,9 @@ functions:
 
 
 def test_an_advertisement_that_is_refused_opens_nothing(played: Played) -> None:
-    def refuse(socket: ServerConnection, fields: Any) -> None:
-        if fields["op"] == "advertise":
-            status = {"op": "status", "level": "error", "msg": "glob", "id": fields["id"]}
-            socket.send(json.dumps(status))
-
-    played.on = refuse  # type: ignore[method-assign]  # what a test replaces
+    played.refuse("advertise", "glob")
     with bridge_to(played.url) as bridge:
-        structure = bridge.describe(LISTEN).message
-        assert structure is not None
+        structure = stream(bridge, LISTEN)
         with pytest.raises(BridgeError, match="advertised: glob") as caught:
             bridge.open_sink(LISTEN, structure)
         assert caught.value.reason is FailureReason.REFUSED

@@ -110,7 +110,7 @@ def test_a_message_that_stands_is_not_delivered_again(played: Played) -> None:
             message = {"op": "publish", "topic": "/chatter", "msg": {"data": "map"}}
             socket.send(json.dumps(message))
 
-    played.on = stand  # type: ignore[method-assign]  # what a test replaces
+    played.on = stand
     with bridge_to(played.url, grace=LONG) as bridge:
         events = health_events(bridge)
         made = structure(bridge)
@@ -210,7 +210,7 @@ def test_a_call_that_breaks_fails_at_once_and_is_not_sent_again(played: Played) 
         if fields.get("service") == "/set":
             socket.close()
 
-    played.on = vanish  # type: ignore[method-assign]  # what a test replaces
+    played.on = vanish
     played.answers["set"] = {"data": True}
     with bridge_to(played.url, grace=LONG) as bridge:
         played.answers.pop("set")
@@ -418,7 +418,7 @@ def test_what_did_not_open_does_not_stand(played: Played) -> None:
 
     with bridge_to(played.url, grace=LONG) as bridge:
         events, made = health_events(bridge), structure(bridge)
-        played.on = on  # type: ignore[method-assign]  # what a test replaces
+        played.on = on
         with pytest.raises(BridgeError):
             bridge.open_source(TALK, made, Collector().deliver)
         eventually(lambda: len(events) == 2, "the break, and its end")

@@ -85,7 +85,7 @@ class Actionlib:
             "message_details": lambda given: {"typedefs": TYPES[given["type"]]},
             "publishers": {"publishers": ["/adder"]}, "subscribers": {"subscribers": ["/adder"]},
         }  # fmt: skip
-        played.on = self._on  # type: ignore[method-assign]  # what a test replaces
+        played.on = self._on
 
     def status(self, *states: tuple[str, int]) -> None:
         listed = [self._status(identity, status) for identity, status in states]
@@ -347,7 +347,7 @@ def test_a_server_that_knows_no_actions_refuses_with_its_words(played: Played) -
             status = {"op": "status", "level": "error", "msg": text, "id": fields["id"]}
             socket.send(json.dumps(status))
 
-    played.on = on  # type: ignore[method-assign]  # what a test replaces
+    played.on = on
     with (
         bridge_to(played.url) as bridge,
         pytest.raises(BridgeError, match="Unknown operation: advertise_action") as caught,

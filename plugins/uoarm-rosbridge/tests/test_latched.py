@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from played import bridge_to
+from played import bridge_to, stream
 from ros import Enter, url
 
 from uoarm import RobotManager
@@ -91,9 +91,7 @@ def test_a_second_source_on_a_latched_topic_gets_what_stands(
             endpoint = Endpoint(
                 "far", "map", Role.OUTPUT, ("/uoarm/map",), options={"latch": is_latched}
             )
-            structure = bridge.describe(endpoint).message
-            assert structure is not None
-            bridge.open_source(endpoint, structure, collector.deliver)
+            bridge.open_source(endpoint, stream(bridge, endpoint), collector.deliver)
             if collector is not collectors[2]:
                 assert collector.wait(1) == [{"data": 0}]
         latched[1].emit({"data": 1}, "a")

@@ -175,7 +175,7 @@ def test_a_picture_comes_as_its_endpoint_asks(played: Played) -> None:
             message = {"op": "publish", "topic": "/chatter", "msg": framed(text)}
             socket.send(write_binary(message))
 
-    played.on = on  # type: ignore[method-assign]  # what a test replaces
+    played.on = on
     with bridge_to(played.url) as bridge:
         made = bridge.describe(source).message
         assert made is not None

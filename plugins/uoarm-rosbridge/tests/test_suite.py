@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from suites import HEIGHT, WIDTH, EitherSuite, at, is_there, made, stream
+from played import stream
+from suites import HEIGHT, WIDTH, EitherSuite, at, is_there, made
 from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from suites import HEIGHT, WIDTH, EitherSuite, at, made, stream
+from played import stream
+from suites import HEIGHT, WIDTH, EitherSuite, at, made
 from tests.server.talk import eventually  # type: ignore[import-not-found]
 
 from uoarm.bridge import Bridge, HealthEvent
