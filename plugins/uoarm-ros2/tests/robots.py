@@ -11,6 +11,10 @@ from peers import OPTIONS
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import ServerOptions, serve_in_thread
+from uoarm.testing import patience
+
+HOSTED = f", host: {{silence: {patience()}, start: {patience()}}}"
+"""What is behind the options of a bridge that has a process of its own."""
 
 
 def robot(

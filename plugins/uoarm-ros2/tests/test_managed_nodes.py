@@ -10,14 +10,13 @@ import pytest
 from attrs import evolve
 from endpoints import INT64, Make, Start, endpoint
 from messages import default_of
-from peers import MORTAL, OPTIONS, Peer
+from peers import MORTAL, Peer
+from robots import robot
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._managed_nodes import ManagedNode, NodeAccess, NodeRequirement, Transition
 from uoarm_ros2._types import import_type
 
-from uoarm import RobotManager
 from uoarm.bridge import Bridge
-from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Role
 from uoarm.server.front_end import Operation, Supervision
@@ -62,15 +61,12 @@ def test_parameters_are_read_and_set_while_a_node_runs_with_the_rights_of_what_m
     peer: Start,
 ) -> None:
     peer("beside", "threads").do("manage", name="camera", topic="/numbers")
-    text = f"""
-version: 1
-bridges: {{ros: {{plugin: ros2, options: {{{OPTIONS}}}}}}}
-functions:
+    functions = """
   get:
     components:
       - name: reader
         bridge: ros
-        service: {{endpoint: [/camera/get_parameters, rcl_interfaces/srv/GetParameters]}}
+        service: {endpoint: [/camera/get_parameters, rcl_interfaces/srv/GetParameters]}
   set:
     components:
       - name: writer
@@ -80,13 +76,13 @@ functions:
           lifetime: 60
 """
     value = {**default_of(import_type("rcl_interfaces/msg/ParameterValue")), "type": 3}
-    with RobotManager(loads(text)) as robot:
+    with robot(functions) as manager:
         asked = {"parameters": [{"name": "gain", "value": {**value, "double_value": 4.5}}]}
-        reply = robot.call("set", asked)
+        reply = manager.call("set", asked)
         assert reply == {"results": [{"successful": True, "reason": ""}]}
-        read = robot.call("get", {"names": ["gain"]})
+        read = manager.call("get", {"names": ["gain"]})
         assert read["values"][0]["double_value"] == 4.5
-        reason = Supervision(lambda: robot.config).reason
+        reason = Supervision(lambda: manager.config).reason
         assert "a call of it has a lifetime" in reason(Operation.CALL, "set")
         assert reason(Operation.CALL, "get") == ""
 
@@ -260,10 +256,7 @@ def test_a_request_brings_the_node_up_and_a_dead_one_is_replaced(peer: Start) ->
     first, second = peer("one", "threads", **MORTAL), peer("two", "threads")
     first.do("manage", name="first", topic="/first")
     second.do("manage", name="second", topic="/second")
-    text = f"""
-version: 1
-bridges: {{ros: {{plugin: ros2, options: {{{OPTIONS}}}}}}}
-functions:
+    functions = f"""
   numbers:
     components:
       - {{name: first, bridge: ros, priority: 2, parameters: {{gain: 3.0}},
@@ -271,8 +264,8 @@ functions:
       - {{name: second, bridge: ros, parameters: {{gain: 4.0}},
          output: {{endpoint: [/second, {INT64}], options: {{activate: true}}}}}}
 """
-    with RobotManager(loads(text)) as robot:
-        connection = robot.request("numbers", timeout=2 * patience())
+    with robot(functions) as manager:
+        connection = manager.request("numbers", timeout=2 * patience())
         connection.get(patience())
         assert second.do("transitions", expected=0)["asked"] == []
         first.kill()

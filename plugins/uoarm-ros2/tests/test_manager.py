@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from endpoints import INT64, Start, reaches
 from peers import MORTAL
-from robots import robot
+from robots import HOSTED, robot
 
 from uoarm import RobotManager
 from uoarm.errors import MessageError, ResolutionError
@@ -19,7 +19,7 @@ from uoarm.testing import patience, wait
 LATE_SECONDS = 2.0  # twice as long as a host waits for a reader of anything else
 
 
-HOSTS = ["", f", host: {{silence: {patience()}, start: {patience()}}}"]
+HOSTS = ["", HOSTED]
 KEPT = """
   numbers:
     components:

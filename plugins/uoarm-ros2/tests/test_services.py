@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 from endpoints import INT64, Make, Start, endpoint, known, sink, source
 from messages import default_of
-from peers import DOMAIN, MORTAL, OPTIONS
+from peers import DOMAIN, MORTAL
+from robots import HOSTED, robot
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2 import _services
 from uoarm_ros2._actions import Action
@@ -31,7 +32,6 @@ from uoarm_ros2._types import (
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
-from uoarm.config import loads
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -340,16 +340,11 @@ def test_a_goal_that_is_accepted_after_its_call_was_given_up_is_cancelled() -> N
         participant.close(patience())
 
 
-def reaching(*, is_hosted: bool) -> str:
-    """Return a robot whose arm moves by an action."""
+def reaching(*, is_hosted: bool) -> RobotManager:
+    """A robot whose arm moves by an action."""
     options = f"endpoint: [/fibonacci, {FIBONACCI}], lifetime: 3600"
-    host = f", host: {{silence: {patience()}, start: {patience()}}}" if is_hosted else ""
-    return f"""
-version: 1
-bridges: {{ros: {{plugin: ros2, options: {{{OPTIONS}}}{host}}}}}
-functions:
-  reach: {{components: [{{name: arm, bridge: ros, service: {{{options}}}}}]}}
-"""
+    reach = f"  reach: {{components: [{{name: arm, bridge: ros, service: {{{options}}}}}]}}"
+    return robot(reach, host=HOSTED if is_hosted else "")
 
 
 @pytest.mark.parametrize("is_hosted", [False, True])
@@ -358,11 +353,11 @@ def test_an_action_that_an_emergency_stop_ends_is_cancelled(
 ) -> None:
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05)
-    with RobotManager(loads(reaching(is_hosted=is_hosted))) as robot:
+    with reaching(is_hosted=is_hosted) as manager:
         limit = 2 * patience()
-        calling = Background(partial(robot.call, "reach", {"order": 2000}, timeout=limit))
+        calling = Background(partial(manager.call, "reach", {"order": 2000}, timeout=limit))
         server.do("goal_begun")
-        (outcome,) = robot.stop_all().inputs
+        (outcome,) = manager.stop_all().inputs
         with pytest.raises(CommandRefusedError, match="the emergency stop cancelled the call"):
             calling.result()
         assert (outcome.component, outcome.stopped) == ("arm", True)
@@ -375,13 +370,13 @@ def test_an_emergency_stop_cancels_a_goal_as_soon_as_it_is_accepted(
 ) -> None:
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05, gated=True)
-    with RobotManager(loads(reaching(is_hosted=is_hosted))) as robot:
+    with reaching(is_hosted=is_hosted) as manager:
         limit = 4 * patience()
-        calling = Background(partial(robot.call, "reach", {"order": 2000}, timeout=limit))
+        calling = Background(partial(manager.call, "reach", {"order": 2000}, timeout=limit))
         assert server.do("goal_asked")
 
         def is_cancelled() -> bool:  # no goal ends before it is accepted; a host may answer later
-            (outcome,) = robot.stop_all(timeout=0.5).inputs
+            (outcome,) = manager.stop_all(timeout=0.5).inputs
             assert (outcome.component, outcome.stopped) == ("arm", False)
             return "was cancelled, and has not ended yet" in outcome.cause
 
