@@ -6,6 +6,12 @@ prints the seconds of every round trip as JSON; `NAME peer` is the other process
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import argparse
 import json
 import queue
 import socket
@@ -264,7 +270,13 @@ _PEERS = {"socket": tcp_peer, "topics": topics_peer, "service": service_peer, "p
 
 
 if __name__ == "__main__":
-    if sys.argv[2] == "peer":
-        _PEERS[sys.argv[1]]()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("name", choices=_RUN)
+    parser.add_argument("count", help="round trips, or `peer`")
+    given = parser.parse_args()
+    if given.count == "peer" and given.name in _PEERS:
+        _PEERS[given.name]()
+    elif given.count.isdecimal():
+        print(json.dumps(_RUN[given.name](int(given.count))))
     else:
-        print(json.dumps(_RUN[sys.argv[1]](int(sys.argv[2]))))
+        parser.error(f"expected a number of round trips, got {given.count}")

@@ -29,13 +29,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--record", type=Path, metavar="FOLDER", help="write figures for plots")
     options = parser.parse_args()
+    if options.record:
+        try:
+            options.record.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            parser.error(f"--record: {options.record} is no folder: {error.strerror}")
     lacking = missing()
     for need in lacking:
         print(need, file=sys.stderr)
     if any(need.vital for need in lacking):
         return 1
-    if options.record:
-        options.record.mkdir(parents=True, exist_ok=True)
     failed = 0
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)

@@ -20,7 +20,7 @@ from pathlib import Path
 from attrs import asdict, frozen
 from circuits import FRAMEWORKS, configuration, message, name_of
 from floors import FLOORS, measure
-from stage import free_domain, load, machine, record, table
+from stage import free_domain, load, machine, record, table, writable
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm import RobotManager
@@ -199,7 +199,7 @@ def main() -> None:
     """Measure the floors, then uoarm with its bridges in one process and each in its own."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=500, help="messages on each way")
-    parser.add_argument("--record", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--record", type=writable, metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
     domain = free_domain()
     os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(domain)}

@@ -11,6 +11,7 @@ import signal
 if __name__ == "__main__":  # who started it gets Ctrl-C as well, and ends its input
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
+import argparse
 import queue
 import sys
 import threading
@@ -108,4 +109,9 @@ def rocos() -> None:
 
 
 if __name__ == "__main__":
-    rtm(sys.argv[2]) if sys.argv[1] == "rtm" else rocos()
+    parser = argparse.ArgumentParser(description=__doc__)
+    loops = parser.add_subparsers(dest="framework", required=True)
+    loops.add_parser("rtm").add_argument("nameserver")
+    loops.add_parser("rocos")
+    given = parser.parse_args()
+    rtm(given.nameserver) if given.framework == "rtm" else rocos()

@@ -16,7 +16,7 @@ from typing import Any
 
 from attrs import asdict, frozen
 from observing import NOTHING, Observed, until, use, using, watch
-from stage import Stage, host_of, load, machine, record, stage, table
+from stage import Stage, host_of, load, machine, record, stage, table, writable
 
 from uoarm.client import connect
 from uoarm.errors import UoarmError
@@ -196,5 +196,5 @@ async def main(file: Path | None) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--record", type=writable, metavar="FILE", help="write the figures as JSON")
     asyncio.run(main(parser.parse_args().record))

@@ -6,15 +6,24 @@ matplotlib: the extra `uoarm[plots]`. The same figures give the same files.
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import argparse
 import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Drawing
+try:
+    import matplotlib as mpl
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Drawing
+except ImportError as error:
+    sys.exit(f"plots need the extra plots: pip install -e '.[plots]' ({error})")
 
 _PAPER_MS = 1.0
 _ROW_INCHES = 0.27
@@ -118,4 +127,9 @@ def _write(drawing: Drawing, title: str, file: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="what `every.py --record FOLDER` wrote")
+    try:
+        main(parser.parse_args().folder)
+    except OSError as error:
+        parser.error(str(error))

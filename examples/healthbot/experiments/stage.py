@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
@@ -44,6 +45,7 @@ __all__ = [
     "record",
     "stage",
     "table",
+    "writable",
 ]
 
 
@@ -99,6 +101,19 @@ def machine(before: float | None = None) -> str:
 def head(title: str) -> None:
     """Print what was measured, when and on what."""
     print(f"{title}, {machine()}\n")
+
+
+def writable(given: str) -> Path:
+    """Return the path of an option; raises what argparse says where no file can be written there.
+
+    Before anything is measured: that takes minutes.
+    """
+    try:
+        Path(given).open("a", encoding="utf-8").close()
+    except OSError as error:
+        text = f"{given} cannot be written: {error.strerror}"
+        raise argparse.ArgumentTypeError(text) from error
+    return Path(given)
 
 
 def record(file: Path, measured: str, figures: Sequence[Mapping[str, Any]]) -> None:

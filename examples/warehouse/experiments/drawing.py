@@ -8,13 +8,22 @@ Needs matplotlib: the extra `uoarm[plots]`. The same figures give the same file.
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":  # an import may lose what Ctrl-C raises
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import argparse
 import json
 import sys
 from pathlib import Path
 from typing import Any, Final
 
-import matplotlib as mpl
-from matplotlib.figure import Figure
+try:
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+except ImportError as error:
+    sys.exit(f"plots need the extra plots: pip install -e '.[plots]' ({error})")
 
 _COLOURS: Final = {"amr": "#0b6e99", "cart": "#c4581c", "agv": "#2a7d2a", "visitor": "#767676"}
 _NAMES: Final = {
@@ -58,4 +67,11 @@ def draw(measured: dict[str, Any], file: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")), Path(sys.argv[2]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("figures", type=Path, help="what `stopping.py --json` printed")
+    parser.add_argument("plot", type=Path, help="SVG file that is made")
+    given = parser.parse_args()
+    try:
+        draw(json.loads(given.figures.read_text(encoding="utf-8")), given.plot)
+    except OSError as error:
+        parser.error(str(error))
