@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from uoarm_rtm.component import ComponentProfile, RtComponent, Types
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm.bridge import Bridge, BridgeType, Registry
-from uoarm.errors import BridgeError, BridgeTimeoutError, ConfigurationError
+from uoarm.errors import BridgeError, BridgeTimeoutError, ConfigurationError, FailureReason
 from uoarm.model import BridgeSpec, Health, Role
 from uoarm.testing import patience, wait
 
@@ -52,7 +52,8 @@ class Listed:
     def services(self) -> tuple[Any, ...]:
         return ("first", "second")
 
-    def names_in(self, service: str) -> dict[str, Name]:
+    def names_in(self, service: str, before: Iterable[Name] = ()) -> dict[str, Name]:
+        del before
         if service == "first":
             assert self.answers.wait(patience())
         if service in self.gone:
@@ -149,7 +150,8 @@ class Service:
         self._wait()
         return self if path in self.paths else None
 
-    def names(self) -> list[Name]:
+    def names(self, before: Iterable[Name] = ()) -> list[Name]:
+        del before
         self._wait()
         return [Name(path, self) for path in self.paths]
 
@@ -233,6 +235,29 @@ def test_coming_leaving_and_dying_are_events(make_bridge: Make, peer: Start, nam
     events.event(Health.LOST, "component Second.rtc died")
     peer("Second", at=names)
     wait(lambda: str(events.messages).count("component Second.rtc appeared") == 2)
+
+
+def test_components_in_a_context_that_is_gone_have_not_left(
+    make_bridge: Make, peer: Start, names: str, orb: Orb
+) -> None:
+    import CosNaming
+
+    bridge = make_bridge(nameserver=names)
+    events = Inbox(bridge)
+    with NameServer() as server:
+        far = NamingService(orb, server.address, ANSWERS)._root()
+        near = NamingService(orb, names, ANSWERS)._root()
+        near.bind_context([CosNaming.NameComponent("far", "cxt")], far)
+        first = peer("First", at=server.address)
+        checked(bridge, "far.cxt/First.rtc")
+    peer("Second", at=names)
+    events.event(Health.OK, "component Second.rtc appeared")
+    assert not [event for event in events.messages if "left" in event.cause]
+    with pytest.raises(BridgeError, match="resolving ") as failed:
+        bridge.describe(endpoint(Role.OUTPUT, "far.cxt/First.rtc", "out"))
+    assert failed.value.reason is FailureReason.UNAVAILABLE
+    first.kill()
+    events.event(Health.LOST, "component far.cxt/First.rtc died")
 
 
 def test_contexts_that_contain_each_other_end(names: str) -> None:

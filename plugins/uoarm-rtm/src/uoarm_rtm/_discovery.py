@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from attrs import define, field
@@ -104,14 +104,18 @@ class Directory:
                 names = {**answer, **names}
         return names
 
-    def names_in(self, service: NamingService) -> dict[str, Name]:
+    def names_in(self, service: NamingService, before: Iterable[Name] = ()) -> dict[str, Name]:
         """Return the name of every component in a naming service by its path.
+
+        Args:
+            service: that is asked.
+            before: as of `NamingService.names`.
 
         Raises:
             BridgeError: it does not answer.
         """
         with self._noting(service):
-            names = service.names()
+            names = service.names(before)
         return {name.path: name for name in names if name.path.endswith(_SUFFIX)}
 
     def _asked(self, service: NamingService) -> dict[str, Name] | BridgeError:
@@ -358,7 +362,8 @@ class DirectoryMonitor:
             doubtful = [known for known in every if watched in known.unconfirmed]
         failure = ""
         try:
-            names: Mapping[str, Name] = self._directory.names_in(watched.service)
+            before = (watched.names or {}).values()
+            names: Mapping[str, Name] = self._directory.names_in(watched.service, before)
         except BridgeError as error:
             # A naming service that is gone says nothing of the components.
             failure, names = str(error), watched.names or {}

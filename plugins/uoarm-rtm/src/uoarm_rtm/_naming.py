@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -109,11 +109,20 @@ class NamingService:
         self._what = f"naming service {address}"
 
     @_afresh
-    def names(self) -> list[Name]:
-        """Return every object bound below the root, contexts aside."""
+    def names(self, before: Iterable[Name] = ()) -> list[Name]:
+        """Return every object bound below the root, contexts aside.
+
+        Args:
+            before: what was there, and is still where a context of another naming service is gone.
+        """
         found: list[Name] = []
-        self._walk(self._root(), (), found, [], time.monotonic() + _MOST_SECONDS)
-        return found
+        gone: list[str] = []
+        self._walk(self._root(), (), found, [], gone, time.monotonic() + _MOST_SECONDS)
+        there = {name.path for name in found} if gone else set()
+        found += [
+            name for name in before if name.path.startswith(tuple(gone)) and name.path not in there
+        ]
+        return found[:_MOST_NAMES]
 
     @_afresh
     def resolve(self, path: str) -> Any:
@@ -189,6 +198,7 @@ class NamingService:
         path: tuple[Any, ...],
         found: list[Name],
         seen: list[Any],
+        gone: list[str],
         until: float,
     ) -> None:
         # Contexts that contain no name, and always new ones, would not end by the number of names.
@@ -212,12 +222,13 @@ class NamingService:
             what = f"{self._what}: context {path_of(list(name))!r}"
             try:
                 inner = narrowed(reference, CosNaming.NamingContext, self._seconds, what)
-                self._walk(inner, name, found, seen, until)
+                self._walk(inner, name, found, seen, gone, until)
             except BridgeError:
                 # A context of another naming service may be gone. Where this one is, or hangs, it
                 # says nothing of what is bound there.
                 self._require_time(until)
                 self._root()
+                gone.append(f"{path_of(list(name))}/")
 
     def _bindings(self, context: Any, until: float) -> list[Any]:
         with corba_errors(f"{self._what}: listing names"):
