@@ -561,6 +561,24 @@ class TestBroker:
             assert source.facts()["interruptions"] == 1
             assert [event.health for event in events] == [Health.DEGRADED, Health.OK]
 
+    def test_killed_as_much_is_under_way_each_message_is_counted_once(self, tmp_path: Path) -> None:
+        with running(tmp_path / "broker") as broker, bridge_to(broker) as bridge:
+            events = health_events(bridge)
+            sink = speak(bridge, "counted")
+            for number in range(300):
+                sink.send(number)
+            broker.kill()
+            until(events, Health.DEGRADED)
+            assert sink.facts()["under_way"]
+            broker.start()
+            until(events, Health.OK)
+            sink.send(300)
+            assert sink.drain(patience())
+            # The broker takes each, and says that no client is subscribed.
+            facts = sink.facts()
+            counts = {name: facts[name] for name in ("under_way", "lost_on_link", "refused")}
+            assert (counts, facts["undelivered"]) == (dict.fromkeys(counts, 0), 301)
+
     def test_what_is_retained_with_qos_0_in_a_break_is_not_missed(
         self, broker: Broker, peer: Peer
     ) -> None:
