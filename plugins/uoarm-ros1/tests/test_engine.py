@@ -191,6 +191,8 @@ def test_replies_and_faults_pass() -> None:
     fault = xmlrpc.client.dumps(xmlrpc.client.Fault(3, "no such method")).encode()
     with pytest.raises(Fault, match="no such method"):
         decode_reply(fault)
+    with pytest.raises(Fault, match="it says not why"):
+        decode_reply(xmlrpc.client.dumps(xmlrpc.client.Fault(3, "")).encode())
 
 
 BOMB = b"""<?xml version="1.0"?><!DOCTYPE b [<!ENTITY a "aaaaaaaaaa"><!ENTITY c "&a;&a;&a;&a;">]>

@@ -110,7 +110,8 @@ def call_api(
         raise BridgeError(text, FailureReason.BAD_MESSAGE)
     code, status, value = result
     if code != _DONE:
-        text = f"{method}: {what} at {host}:{port} refuses: {str(status)[:500]}"
+        why = str(status)[:500].strip() or "it says not why"
+        text = f"{method}: {what} at {host}:{port} refuses: {why}"
         raise BridgeError(text, FailureReason.REFUSED)
     return value
 

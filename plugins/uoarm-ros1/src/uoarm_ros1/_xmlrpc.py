@@ -83,7 +83,7 @@ def decode_reply(octets: bytes, budget: Budget = XML_BUDGET) -> Any:
     (value,) = reading.params
     if reading.is_fault:
         said = value.get("faultString", "") if isinstance(value, dict) else value
-        raise Fault(str(said)[:500])
+        raise Fault(str(said)[:500].strip() or "it says not why")
     return value
 
 
