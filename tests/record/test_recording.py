@@ -284,6 +284,17 @@ def test_it_ends_when_it_has_its_size_and_with_the_manager(
     assert read_json_of(tmp_path / "b.mcap", "/counter") == [{"n": 2}]
 
 
+def test_a_disk_that_is_full_already_is_refused_before_anything_is_opened(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
+) -> None:
+    bridge.emitter("clicks", COUNT)
+    robot = make_robot()
+    with full_after(0), pytest.raises(UsageError, match=r"cannot be written: .*File too large"):
+        robot.record("counter", path=tmp_path / "run.mcap")
+    assert not list(tmp_path.glob("*.mcap"))
+    assert not robot.status().components
+
+
 def test_a_full_disk_ends_the_recording_and_nothing_else(
     bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path
 ) -> None:

@@ -126,7 +126,7 @@ class McapFile:
         chunk_octets: of messages that are written at once.
 
     Raises:
-        UsageError: it cannot be made.
+        UsageError: it cannot be made, or not be written.
     """
 
     def __init__(self, path: Path, compression: str, chunk_octets: int) -> None:
@@ -146,12 +146,19 @@ class McapFile:
         # are copied at once: encoders give back small octets in large blocks, which would add up.
         self._chunk = bytearray()
         self._index: dict[int, list[int]] = {}
+        # Before anything is opened: a full disk takes a file, and nothing in it.
+        try:
+            self._output.write(MAGIC)
+        except OSError as error:
+            self._output.close()
+            self.path.unlink(missing_ok=True)
+            raise UsageError(f"{path} cannot be written: {error}") from error
 
     def begin(self, profile: str) -> None:
-        """Write what stands before all else; `ros2` where every channel is one of ROS 2."""
+        """Write the header; the profile is `ros2` where every channel is one of ROS 2."""
         from mcap.records import Header  # noqa: PLC0415 - an extra
 
-        self._output.write(MAGIC, _written(Header(profile, f"uoarm {__version__}")))
+        self._output.write(_written(Header(profile, f"uoarm {__version__}")))
 
     @property
     def octets(self) -> int:
