@@ -26,7 +26,7 @@ from uoarm_rtm.errors import IdlError
 
 from uoarm.bridge import Bridge, Channel, ServiceStructures
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Health, MessageStructure, Role
+from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm.testing import Background, patience, wait
 
 IDL = str(Path(__file__).parent / "service.idl")
@@ -206,6 +206,26 @@ def test_a_service_port_of_ours_waits_for_other_ports_as_long_as_its_bridge(
     bridge.serve(endpoint(Role.SERVICE, "self", "helper", "Mover::echo"), lambda message: message)
     (port,) = bridge._own.component.ports
     assert port._seconds == 7.5
+
+
+def test_an_operation_with_a_wchar_is_refused(make_bridge: Make, tmp_path: Path) -> None:
+    idl = tmp_path / "letters.idl"
+    declared = "struct Pair { wchar one; wchar two; }; "
+    operations = "void put(in Pair given); wchar get(in long place); wstring all(in wstring text);"
+    idl.write_text(f"module Letters {{ {declared} interface Ask {{ {operations} }}; }};")
+    bridge, caller = make_bridge(idl=str(idl)), make_bridge("other", idl=str(idl))
+
+    def at(component: str, name: str) -> Endpoint:
+        return endpoint(Role.SERVICE, component, name, f"Letters::Ask::{name}")
+
+    for name in ("put", "get"):
+        with pytest.raises(BridgeError, match=f"{name}: omniORB cannot read a wchar") as refused:
+            bridge.serve(at("self", name), lambda message: message)
+        assert refused.value.reason is FailureReason.UNSUPPORTED
+    bridge.serve(at("self", "all"), lambda message: {"return": message["text"]})
+    assert caller.call(at("uoarm_rtm.rtc", "all"), {"text": "h\u00e9\u8155"}) == {
+        "return": "h\u00e9\u8155"
+    }
 
 
 def test_a_function_of_ours_serves_a_port_that_requires_it(make_bridge: Make, peer: Start) -> None:

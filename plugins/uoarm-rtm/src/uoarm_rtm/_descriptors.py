@@ -296,6 +296,9 @@ def _operation(
     taken = _parts(ins, takes, name, encoding)
     given = _parts(outs, gives, name, encoding)
     structures = _structure(taken, encoding), _structure(given, encoding)
+    if any("'wchar'" in str(structure.schema) for structure in structures):
+        text = f"{name}: omniORB cannot read a wchar in a call; it can a wstring"
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
     errors = {
         # Without its repository id, which an exception's own marshalling puts first.
         identifier: _Parameter(

@@ -218,13 +218,16 @@ def servant_of(interface: IdlInterface, operation: str, handler: Handler) -> Any
             as `{operation, arguments}`.
         handler: called in threads of the ORB, several at a time. Where it raises OBJECT_NOT_EXIST,
             so does the operation.
+
+    Raises:
+        BridgeError: there is no such operation, or it is refused.
     """
-    methods = {}
-    for name, declared in interface.operations.items():
-        if not operation:
-            methods[name] = _method(declared, _named(name, handler))
-        elif name == operation:
-            methods[name] = _method(declared, handler)
+    methods = {
+        name: _method(declared, _named(name, handler))
+        for name, declared in interface.operations.items()
+    }
+    if operation:
+        methods = {operation: _method(interface.operation(operation), handler)}
     return type("Served", (interface.skeleton,), methods)()
 
 
