@@ -19,7 +19,7 @@ from uoarm._arguments import arguments
 from uoarm._control.connection import Connection
 from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
-from uoarm._forks import generation
+from uoarm._forks import forks
 from uoarm._hints.applications import T
 from uoarm._raised import LimitedLog, Log, foreign, name_of
 from uoarm._renewal import HeldCommand
@@ -55,7 +55,7 @@ class _AsyncProxy(Generic[Threaded_co]):
     def __init__(self, threaded: Threaded_co, executor: Executor) -> None:
         self._threaded = threaded
         self._executor = executor
-        self._process = generation()
+        self._process = forks.generation
 
     @abstractmethod
     async def close(self) -> None: ...
@@ -68,7 +68,7 @@ class _AsyncProxy(Generic[Threaded_co]):
 
     async def __aexit__(self, *_: object) -> None:
         if (
-            generation() == self._process
+            forks.generation == self._process
         ):  # a forked child has none of the threads, and owns nothing
             await self.close()
 

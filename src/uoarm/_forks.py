@@ -30,16 +30,19 @@ class _Forking(threading.local):
     mask: Collection[int] = ()
 
 
-_forking = _Forking()
-_forks: list[None] = []
+class _Forks:
+    """Counts the forks that led to this process.
 
-
-def generation() -> int:
-    """Return how many forks led to this process: what was made in another one is a parent's.
-
-    Instead of the number of the process, which is a call of the system: a request asks many times.
+    Attributes:
+        generation: how many there were: what was made in another one is a parent's. Instead of the
+            number of the process, which is a call of the system: a request asks many times.
     """
-    return len(_forks)
+
+    generation = 0
+
+
+_forking = _Forking()
+forks = _Forks()
 
 
 def at_exit(call: Callable[[], object]) -> Callable[[], None]:
@@ -47,7 +50,7 @@ def at_exit(call: Callable[[], object]) -> Callable[[], None]:
 
     A child that is forked does not call it. Returns what takes it back.
     """
-    run = partial(_run_in, generation(), call)
+    run = partial(_run_in, forks.generation, call)
     atexit.register(run)
     return partial(atexit.unregister, run)
 
@@ -69,8 +72,8 @@ def default_in_children(numbers: Iterable[int]) -> None:
     _handlers.update({number: signal.getsignal(number) for number in numbers})
 
 
-def _run_in(process: int, call: Callable[[], object]) -> None:
-    if generation() == process:
+def _run_in(generation: int, call: Callable[[], object]) -> None:
+    if forks.generation == generation:
         call()
 
 
@@ -84,7 +87,7 @@ def _let_signals_through() -> None:
 
 
 def _forsake() -> None:
-    _forks.append(None)
+    forks.generation += 1
     for closable in tuple(_closable):
         closable.close()
     _closable.clear()

@@ -20,7 +20,7 @@ from typing import IO, Any
 
 from attrs import field, frozen
 
-from uoarm._forks import at_exit, close_in_children, generation
+from uoarm._forks import at_exit, close_in_children, forks
 from uoarm._host.transport import keys
 from uoarm._host.transport.frames import LinkSockets
 from uoarm._host.transport.liveness import HostConnection, LivenessMonitor
@@ -349,7 +349,7 @@ class ProcessConnection(HostConnection):
         self._name = spec.name
         self._memory = settings.memory
         self._given_up = ""
-        self._process = generation()
+        self._process = forks.generation
         self._forget_exit: Callable[[], None] = lambda: None
         self._started: HostProcess | None = None
         deadline = time.monotonic() + settings.start
@@ -396,7 +396,7 @@ class ProcessConnection(HostConnection):
             UoarmError: the bridge in the host failed while closing; the host has ended anyway.
             BridgeError: its process does not end.
         """
-        if generation() != self._process:
+        if forks.generation != self._process:
             return  # in a child that was forked: the host is its parent's
         self._forget_exit()
         super().close(say_close)

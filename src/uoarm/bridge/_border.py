@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Protocol, cast, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from uoarm._raised import ContainedError, contained, from_own_frames, text_of
 from uoarm._support.deadlines import BoundedStep
@@ -119,7 +119,7 @@ class Gate:
     def __init__(self, deliver: Deliver | Delivery) -> None:
         self._deliver = deliver
         kind: type = type(deliver)
-        self._delivery = cast("Delivery", deliver) if _is_delivery(kind) else None
+        self._delivery: Any = deliver if _is_delivery(kind) else None
         self._turn = threading.RLock()
         self._is_shut = False
         self.refused = 0

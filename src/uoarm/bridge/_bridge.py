@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from functools import partial
 from typing import TypeVar, final
 
-from uoarm._forks import generation
+from uoarm._forks import forks
 from uoarm._raised import foreign
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
@@ -82,12 +82,13 @@ class Bridge(BridgeSteps):
         self.name = name
         self.options = options
         # Guards the channels that are there and the ends of `close`, which it waits for.
-        self._channels_changed = threading.Condition()
+        self._changing = threading.RLock()
+        self._channels_changed = threading.Condition(self._changing)
         # Those that are being closed included: their stops need the framework.
         self._open: set[Channel] = set()
         self._is_closed = self._is_over = False
         self._closer: int | None = None  # the thread in which the framework is let go of
-        self._process = generation()
+        self._process = forks.generation
         self._listener: Callable[[HealthEvent], None] | None = None
         # What was said last of the whole bridge before anything listened: a thread that it began
         # as it was made may have lost the framework by then. None after that.
@@ -124,7 +125,7 @@ class Bridge(BridgeSteps):
         try:
             return self._is_quick(endpoint)
         except BaseException:  # asked several times in each request: names itself when it fails
-            with translated(BoundedStep(f"bridge {self.name!r}: looking at ", endpoint)):
+            with translated(self._named(BoundedStep("looking at ", endpoint))):
                 raise
 
     @final
@@ -373,7 +374,7 @@ class Bridge(BridgeSteps):
         Raises:
             BridgeError: something failed while closing; the rest was closed all the same.
         """
-        if generation() != self._process:
+        if forks.generation != self._process:
             return  # in a child that was forked: it is its parent's
         with self._channels_changed:
             if self._is_closed:
@@ -500,7 +501,8 @@ class Bridge(BridgeSteps):
         keeps_time: Callable[[], bool] | None = None,
         grace: float = 0.0,
     ) -> T:
-        step = self._begun(what)
+        self._require_own(what)
+        step = self._named(what)
         with translated(step):
             return deadlines.run(
                 step,
@@ -512,13 +514,15 @@ class Bridge(BridgeSteps):
                 grace=grace,
             )
 
-    def _begun(self, what: str | BoundedStep) -> BoundedStep:
-        """Return the name of a step that this bridge may begin."""
+    def _require_own(self, what: str | BoundedStep) -> None:
+        """Refuse a step that this bridge may not begin."""
         if self._is_closed:
             raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
-        if generation() != self._process:
+        if forks.generation != self._process:
             text = f"bridge {self.name!r} belongs to the parent of this process: {what}"
             raise BridgeError(text, FailureReason.CLOSED)
+
+    def _named(self, what: str | BoundedStep) -> BoundedStep:
         return BoundedStep(f"bridge {self.name!r}: ", what)
 
     def _opened(
@@ -533,8 +537,12 @@ class Bridge(BridgeSteps):
         is_quick: bool = False,
     ) -> C:
         if is_quick:  # which needs neither a limit nor a thread, and is never late
-            with translated(self._begun(what)):
+            self._require_own(what)
+            try:
                 channel = action()
+            except BaseException:  # opened five times in a short request: named when it fails
+                with translated(self._named(what)):
+                    raise
         else:
             ends_late = partial(put_away, on_late=on_late, gate=gate)
             channel = self._step(what, timeout, action, on_late=ends_late)
@@ -553,7 +561,7 @@ class Bridge(BridgeSteps):
         if not isinstance(channel, kind):
             raise self._broken(what, f"a {kind.__name__}", channel)
         channel._gate, channel._is_quick = gate, is_quick  # noqa: SLF001 - its one owner
-        with self._channels_changed:
+        with self._changing:
             keep = not self._is_closed
             if keep:
                 self._open.add(channel)
@@ -567,9 +575,10 @@ class Bridge(BridgeSteps):
         self._channels_changed.wait_for(ready, min(timeout, threading.TIMEOUT_MAX))
 
     def _forget(self, channel: Channel) -> None:
-        with self._channels_changed:
+        with self._changing:
             self._open.discard(channel)
-            self._channels_changed.notify_all()
+            if self._is_closed:  # only who closes the bridge waits
+                self._channels_changed.notify_all()
 
     def _require(self, able: bool, what: str) -> None:  # noqa: FBT001
         if not able:

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar, final
 
-from uoarm._forks import generation
+from uoarm._forks import forks
 from uoarm._raised import LimitedLog
 from uoarm._support import deadlines
 from uoarm._support.deadlines import BoundedStep
@@ -52,7 +52,7 @@ class Channel:
         self._closed = False
         self._closes_until = 0.0  # when a close that is under way is given up
         self._closer: int | None = None  # the thread that lets go of the link
-        self._process = generation()
+        self._process = forks.generation
         self._let_go = False
         self._when_closed: Callable[[Channel], None] | None = None
         self._gate: Gate | None = None
@@ -83,7 +83,7 @@ class Channel:
             BridgeTimeoutError: the framework did not let go within `timeout` seconds.
             BridgeError: the framework failed while closing.
         """
-        if generation() != self._process:
+        if forks.generation != self._process:
             return  # in a child that was forked: it is its parent's
         with self._closing:
             if self._closed:

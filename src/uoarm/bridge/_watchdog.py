@@ -21,7 +21,7 @@ from typing import ClassVar, final
 from attrs import frozen
 
 from uoarm._backoff import Backoff
-from uoarm._forks import at_exit, generation
+from uoarm._forks import at_exit, forks
 from uoarm._raised import LimitedLog, Log, foreign, text_of
 from uoarm.errors import CommandRefusedError
 from uoarm.model import CommandPhase, CommandPolicy, CommandStatus, FieldLimit, Message
@@ -482,7 +482,7 @@ class ExitStops:
             self._stops[end] = begin
             if self._forget is None:
                 self._forget = at_exit(self._stop_all)
-                self._process = generation()
+                self._process = forks.generation
                 self._all.add(self)
 
     def discard(self, end: Callable[[], object]) -> None:

@@ -33,7 +33,7 @@ from uoarm._control.live.parts import LiveParts, OpenedParts, subject_of
 from uoarm._control.live.revisions import Revisions, StagedRevision
 from uoarm._dataplane import Clock
 from uoarm._encodable import shown
-from uoarm._forks import generation
+from uoarm._forks import forks
 from uoarm._interrupts import Uninterrupted
 from uoarm._parts import Functions
 from uoarm._raised import LimitedLog, foreign, on_failure, sentence_of
@@ -84,7 +84,7 @@ class Driver:
         functions: Functions,
     ) -> None:
         self._log_failure = partial(LimitedLog(_log).write, logging.ERROR)
-        self._process = generation()
+        self._process = forks.generation
         robot = revisions.current.robot
         self.state = State(robot.failover, _bridges_of(robot.components()))
         self.offers = Offers(self, revisions, functions, bridges, events, clock)
@@ -173,7 +173,7 @@ class Driver:
     @property
     def is_foreign(self) -> bool:
         """Whether this is a forked child: what is open is its parent's, and locks may be held."""
-        return generation() != self._process
+        return forks.generation != self._process
 
     def require_own(self, what: str) -> None:
         """Refuse in a forked child, with ConnectionClosedError, what only its parent can do."""
