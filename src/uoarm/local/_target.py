@@ -16,6 +16,7 @@ from collections.abc import (
     Mapping,
     Sequence,
 )
+from functools import cached_property
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin
 
@@ -157,7 +158,7 @@ class Target:
     _ports: dict[Hashable, TargetPort] = field(factory=dict, init=False, eq=False, repr=False)
     _checked: list[Options] = field(factory=list, init=False, eq=False, repr=False)
 
-    @property
+    @cached_property
     def is_class(self) -> bool:
         """Whether an instance is built for each component."""
         return inspect.isclass(self.value)

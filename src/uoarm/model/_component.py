@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
+from functools import cached_property
 from types import MappingProxyType
 
 from attrs import field, frozen
@@ -200,10 +201,11 @@ class Component:
                 return input_
         raise KeyError(port)
 
-    @property
-    def ports(self) -> tuple[Input | Output, ...]:
-        """Its inputs and its outputs."""
-        return (*self.inputs, *self.outputs)
+    @cached_property
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Those of its inputs and its outputs."""
+        inputs = (input_.endpoint for input_ in self.inputs)
+        return (*inputs, *(output.endpoint for output in self.outputs))
 
 
 @frozen

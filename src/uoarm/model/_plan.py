@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import cached_property
 
 from attrs import field, frozen
 
@@ -107,12 +108,12 @@ class Plan:
     rejected: tuple[Rejection, ...] = ()
     warnings: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def provider(self) -> Step:
         """The step whose component provides the function asked for."""
         return self.steps[-1]
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """The names of its components, producers first."""
         return tuple(step.component.name for step in self.steps)

@@ -35,7 +35,7 @@ from uoarm._parts import ApplicationPorts, LiveComponent, LiveEdge
 from uoarm._safety import EmergencyStop
 from uoarm.bridge import Bridge, HealthEvent, NativeLink
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
-from uoarm.model import Component, ComponentStatus, Health, RouteStatus, ValidationMode
+from uoarm.model import ComponentStatus, Health, RouteStatus, Step, ValidationMode
 
 T = TypeVar("T")
 
@@ -121,6 +121,9 @@ class _LeavingComponents:
 
     A replaced bridge is in use so long, and no other instance of a name opens beside them. Those of
     which a thread has not come back are known still, so that their number can be bounded.
+
+    Attributes:
+        by_name: the instances of each name.
     """
 
     def __init__(self) -> None:
@@ -128,7 +131,7 @@ class _LeavingComponents:
         # lock, as a name's instances are replaced as a whole. They are found by name: thousands may
         # leave at once while as many open, and each of those looks (`test_growth.py`).
         self._lock = threading.Lock()
-        self._by_name: dict[str, tuple[LiveComponent, ...]] = {}
+        self.by_name: dict[str, tuple[LiveComponent, ...]] = {}
         self._opening: tuple[LiveComponent, ...] = ()
         self._hanging: dict[str, list[LiveComponent]] = {}
 
@@ -137,15 +140,11 @@ class _LeavingComponents:
         with self._lock:
             for live in lives:
                 name = live.component.name
-                self._by_name[name] = (*self._by_name.get(name, ()), live)
-
-    def of(self, name: str) -> tuple[LiveComponent, ...]:
-        """Return the instances of a name."""
-        return self._by_name.get(name, ())
+                self.by_name[name] = (*self.by_name.get(name, ()), live)
 
     def every(self) -> Iterator[LiveComponent]:
         """Yield all instances."""
-        return chain.from_iterable(self._by_name.copy().values())
+        return chain.from_iterable(self.by_name.copy().values())
 
     def settle(self, closed: Iterable[LiveComponent]) -> None:
         """Take out what is closed, or hangs as it closes."""
@@ -157,21 +156,26 @@ class _LeavingComponents:
                 if is_hanging:
                     self._hanging.setdefault(name, []).append(live)
                 if is_hanging or live.is_over:
-                    left = tuple(item for item in self._by_name.pop(name, ()) if item is not live)
+                    left = tuple(item for item in self.by_name.pop(name, ()) if item is not live)
                     if left:
-                        self._by_name[name] = left
+                        self.by_name[name] = left
                 else:
                     self._opening = (*self._opening, live)
 
-    def hanging(self, name: str) -> int:
-        """Return how many instances of a name were let go of, and hang still."""
+    def refuse_hanging(self, name: str) -> None:
+        """Raise a BridgeError where too many instances of a name were let go of and hang still."""
         if name not in self._hanging:
-            return 0
+            return
         with self._lock:
             hanging = [live for live in self._hanging.pop(name, ()) if live.is_hanging]
             if hanging:
                 self._hanging[name] = hanging
-            return len(hanging)
+        if len(hanging) >= _HANGING:
+            raise BridgeError(
+                f"component {name!r} hangs: it has not let go of {len(hanging)} earlier "
+                "connections; it can be opened again when it does",
+                FailureReason.UNAVAILABLE,
+            )
 
 
 @define(eq=False, slots=False)
@@ -284,20 +288,21 @@ class LiveParts:
         """
         plan = action.placement.plan
         # A stop message may go out, or an earlier instance is waited for.
-        if action.recalled or any(map(self._leaving.of, plan.names)):
+        if action.recalled or not self._leaving.by_name.keys().isdisjoint(plan.names):
             return False
         if all(part.kind in PORTS for part in action.parts) and all(
             port.source is not None for port in plan.provider.component.inputs
         ):
             return True
-        return all(self._opens_at_once(step.component) for step in plan.steps)
+        return all(map(self._opens_at_once, plan.steps))
 
-    def _opens_at_once(self, component: Component) -> bool:
+    def _opens_at_once(self, step: Step) -> bool:
+        component = step.component
         bridge = self._bridges.running(component.bridge)
         return (
             bridge is not None
             and not bridge.capabilities.link
-            and all(bridge.is_quick(port.endpoint) for port in component.ports)
+            and all(map(bridge.is_quick, component.endpoints))
         )
 
     def open(self, action: act.Open, state: State, done: OpenedParts, cancelled: set[int]) -> None:
@@ -458,11 +463,11 @@ class LiveParts:
                 too many to risk another one.
         """
         component = record.step.component
-        self._refuse_hanging(component.name)
+        self._leaving.refuse_hanging(component.name)
         bridge = self._bridges.get(component.bridge)
         # What the framework gives to two instances that are open at once is counted by both, and
         # a device may be open once only (`test_late_losses.py`).
-        for leaving in self._leaving.of(component.name):
+        for leaving in self._leaving.by_name.get(component.name, ()):
             if leaving.bridge is bridge:
                 leaving.wait_over(_LEAVING_SECONDS)
         limits, report = self._owner.state.policy.failing, partial(self._judged, record.id)
@@ -541,15 +546,6 @@ class LiveParts:
             live.close()
         self._leaving.settle(ending.components)
         self._bridges.retire_replaced(self.uses)
-
-    def _refuse_hanging(self, name: str) -> None:
-        hanging = self._leaving.hanging(name)
-        if hanging >= _HANGING:
-            raise BridgeError(
-                f"component {name!r} hangs: it has not let go of {hanging} earlier "
-                "connections; it can be opened again when it does",
-                FailureReason.UNAVAILABLE,
-            )
 
 
 def subject_of(event: HealthEvent) -> tuple[str | None, Hashable]:
