@@ -42,29 +42,42 @@ class MessageCheck:
     Args:
         test: raises MessageError for a message that does not match.
         rest: how many messages pass unseen between two samples.
+        watch: called with what was found; None: not watched.
         is_suspected: whether one that did not match came before: the first 128 are looked at.
 
     Attributes:
         rest: how many messages pass before the next that is looked at; who calls this counts them.
     """
 
-    __slots__ = ("_between", "_suspected", "_test", "rest")
+    __slots__ = ("_between", "_suspected", "_test", "_watch", "rest")
 
     def __init__(
-        self, test: Callable[[Message], None], rest: int = 0, *, is_suspected: bool = False
+        self,
+        test: Callable[[Message], None],
+        rest: int = 0,
+        watch: OutputWatch | None = None,
+        *,
+        is_suspected: bool = False,
     ) -> None:
         self._test = test
+        self._watch = watch
         self._between = rest
         self._suspected = SAMPLE_EVERY if is_suspected else 0
         self.rest = 0
 
     def __call__(self, message: Message) -> None:
         """Look at a message; raises MessageError where it does not match."""
+        watch = self._watch
         try:
             self._test(message)
-        except MessageError:
+        except MessageError as error:
             self._suspected = SAMPLE_EVERY
+            if watch is not None:
+                watch.mismatched(error)
             raise
+        # Only while something may be amiss: a report for each message would be a cost of each.
+        if watch is not None and watch.component.is_alert:
+            watch.took()
         if self._suspected:
             self._suspected -= 1
         if not self._suspected:
@@ -429,24 +442,8 @@ def make_check(
     if mode is ValidationMode.OFF and not is_suspected:
         return None
     check = message_check(structure, place)
-    if watch is not None:
-        check = _reporting(check, watch)
     if mode is ValidationMode.ALWAYS:
-        return MessageCheck(check)
+        return MessageCheck(check, watch=watch)
     # OFF that is suspected looks at 128 messages and then never again: there is no next sample.
     rest = SAMPLE_EVERY - 1 if mode is ValidationMode.SAMPLED else sys.maxsize
-    return MessageCheck(check, rest, is_suspected=is_suspected)
-
-
-def _reporting(check: Callable[[Message], None], watch: OutputWatch) -> Callable[[Message], None]:
-    def check_and_report(message: Message) -> None:
-        try:
-            check(message)
-        except MessageError as error:
-            watch.mismatched(error)
-            raise
-        # Only while something may be amiss: a report for each message would be a cost of each.
-        if watch.component.is_alert:
-            watch.took()
-
-    return check_and_report
+    return MessageCheck(check, rest, watch, is_suspected=is_suspected)
