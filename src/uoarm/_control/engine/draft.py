@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Hashable, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from itertools import chain
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from uoarm._control.engine import actions as act
 from uoarm._control.engine.move import forget_earlier
 from uoarm._control.engine.placement import (
+    NONE,
     PORTS,
     Batch,
     ComponentRecord,
@@ -53,19 +54,21 @@ class Draft(State):
         now: the time of the event.
         actions: that follow from it so far.
         concerned: connections for which something may be done now, in the order in which it is.
+        do: has an action done, after those so far.
     """
 
     now: float
     actions: list[act.Action]
     concerned: list[str]
+    do: Callable[[act.Action], None]
     # A state refuses to be assigned to; this one is still in the making.
     __setattr__ = object.__setattr__
 
     @classmethod
     def of(cls, state: State, now: float) -> Draft:
         """Return a draft of what follows a state."""
-        made = cls.__new__(cls)
-        vars(made).update(vars(state), now=now, actions=[], concerned=[])
+        made, actions = cls.__new__(cls), list[act.Action]()
+        vars(made).update(vars(state), now=now, actions=actions, concerned=[], do=actions.append)
         return made
 
     def finished(self) -> State:
@@ -73,12 +76,8 @@ class Draft(State):
         made = State.__new__(State)
         values = vars(made)
         values.update(vars(self))
-        del values["now"], values["actions"], values["concerned"]
+        del values["now"], values["actions"], values["concerned"], values["do"]
         return made
-
-    def do(self, action: act.Action) -> None:
-        """Have something done, after what is to be done already."""
-        self.actions.append(action)
 
     def new_id(self) -> int:
         """Return an id that nothing has had before."""
@@ -138,10 +137,10 @@ class Draft(State):
         # The search names the number with which it began: what was superseded since then is in the
         # last so many entries.
         missed = self.candidates - candidates
-        if missed > len(self.replaced):
-            return True
-        since = self.replaced[-missed:] if missed > 0 else ()
-        return any(name in others for others in since for name in plan.names)
+        if missed <= 0:
+            return False
+        since = self.replaced[-missed:]
+        return len(since) < missed or any(name in others for others in since for name in plan.names)
 
     def place(
         self, record: ConnectionRecord, plan: Plan, user: str, *, beside: bool = False
@@ -365,9 +364,16 @@ class Draft(State):
         number = self.edges[part.id].consumer if part.kind is Kind.EDGE else part.id
         return self.components[number].name
 
-    def settle(self, batch: Batch, done: Collection[Part]) -> Parts:
-        """Note what became of a batch that is over; return what was opened and has no user."""
-        record = self.connections.get(connection_of(batch.user))
+    def settle(
+        self, record: ConnectionRecord | None, batch: Batch, done: Collection[Part]
+    ) -> Parts:
+        """Note what became of a batch that is over; return what was opened and has no user.
+
+        Args:
+            record: of the connection that it was opened for; None where that has ended.
+            batch: it.
+            done: what is open of it.
+        """
         plans = () if record is None else record.plans
         # Mostly all is open, and the plan that it was opened for is there still, which uses it all.
         if len(done) == len(batch.parts) and any(plan.user == batch.user for plan in plans):
@@ -464,17 +470,18 @@ class Draft(State):
         # replaced and refuses what comes, until the opening of the plan recalls it.
         name = step.component.name
         found = self.serving.get(name)
-        record = None if found is None else self.components[found]
-        if record is None:
-            record = ComponentRecord(self.new_id(), step)
+        if found is None:
+            record = ComponentRecord(self.new_id(), step, NONE.insert(user))
             self.serving = self.serving.insert(name, record.id)
             trouble = self.troubled.get(step.component.bridge)
             if trouble is not None:
                 health = record.health.noted("bridge", Health.DEGRADED, trouble)
                 record = record._replace(health=health)
-        elif record.only_drains and _is_commanded(step.component):
-            self.recalled = self.recalled.insert(record.id)
-        record = record.used_by(record.users.insert(user))
+        else:
+            record = self.components[found]
+            if record.only_drains and _is_commanded(step.component):
+                self.recalled = self.recalled.insert(record.id)
+            record = record.used_by(record.users.insert(user))
         self.components = self.components.insert(record.id, record)
         return record.id
 

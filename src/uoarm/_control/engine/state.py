@@ -110,7 +110,7 @@ class ConnectionRecord(NamedTuple):
         """The plans whose parts should be open: none when it ends."""
         if self.state is ConnectionState.CLOSING:
             return ()
-        return tuple(plan for plan in (self.current, self.next) if plan is not None)
+        return tuple(filter(None, (self.current, self.next)))
 
     @property
     def has_plan(self) -> bool:

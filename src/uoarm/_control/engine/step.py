@@ -145,13 +145,12 @@ def _requested(draft: Draft, event: ev.Requested) -> None:
         event.validate,
         event.waiter,
         has_callback=event.has_callback,
-        move=_request(draft, MovePhase.SEEKING),
         number=draft.requests,
     )
     # The plan was found in the caller's thread, before the event: the configuration, or a
     # candidate, may have changed in between. Then it is only sought once more.
     if event.plan is None or _is_outdated(draft, event):
-        draft.resolve(draft.put(record))
+        draft.resolve(draft.put(record, move=_request(draft, MovePhase.SEEKING)))
     else:
         _begin(draft, record, event.plan)
 
@@ -253,12 +252,12 @@ def _opened(draft: Draft, event: ev.Opened) -> None:
     batch = draft.batches[event.batch]
     # From here on its parts count as open; those that were not done are taken out by `settle`.
     draft.batches = draft.batches.remove(event.batch)
-    late = draft.settle(batch, event.done)
     connection = connection_of(batch.user)
+    record = draft.connections.get(connection)
+    late = draft.settle(record, batch, event.done)
     if late:
         # With the connection that they were opened for: messages may have been lost in them.
         draft.do(act.Close(f"late {event.batch}", connection, late))
-    record = draft.connections.get(connection)
     if event.error is not None and record is not None:
         _failed_to_open(draft, record, batch, event)
     # Its own, and those that shared some of it: what has failed they have opened in a batch of
