@@ -148,7 +148,7 @@ def test_an_input_is_closed_first_so_that_what_comes_of_its_messages_is_counted(
     route = Route("finder.default", "c1", got.append, clock=ManualClock())
     live.outlets["default"].attach(route)
     live.open_output("default")
-    live.open_input("default", lambda: False)
+    live.open_input(live.component.input("default"), lambda: False)
     account.settle(account.close([live]), ())
     assert (got, account.lost) == (["answer"], 0)
     bridge.close()

@@ -224,6 +224,7 @@ class ConfiguredRobot:
     def _watch_rates(self, robot: Robot) -> None:
         if any(output.expect for component in robot.components() for output in component.outputs):
             self._staleness.start()
+            self._driver.when_changed = self._staleness.changed
 
     def _require_open(self) -> None:
         self._driver.require_own("the robot manager")

@@ -133,7 +133,6 @@ class RobotManager(RobotView):
             partial(self._driver.report, is_avoided=True),
             clock,
         )
-        self._driver.when_changed = self._staleness.changed
         self._watch_rates(robot)
         # Those that run still end with the manager, whose connections they hold.
         self._recordings: dict[str, recorder.Recording] = {}

@@ -112,6 +112,9 @@ class _LastMessages:
         self._octets -= self.messages.pop(number)[2]
 
 
+_NOTHING_STANDS = _LastMessages()  # of all outputs that retain none, which add nothing to it
+
+
 class Outlet:
     """The routes that one output feeds.
 
@@ -174,7 +177,7 @@ class Outlet:
         with self._lock:
             self.retains = retains
             if not retains:
-                self._turns, self._last, self._standing = {}, (0, None), _LastMessages()
+                self._turns, self._last, self._standing = {}, (0, None), _NOTHING_STANDS
                 return
             turns = tuple(self._turns.values())
             self._standing.limit(max(1, depth))
@@ -264,13 +267,15 @@ class Outlet:
         # Its lock first: what comes from now on waits until it has what stood before.
         with turn.lock:
             with self._lock:
-                kept = [attached for attached in self._routes if not attached.closed]
+                kept = []
+                for attached in self._routes:
+                    if attached.closed:
+                        self._turns.pop(attached, None)
+                    else:
+                        kept.append(attached)
                 self._routes = (*kept, route)
                 if self.retains is not False:
-                    self._turns = {
-                        **{attached: self._turns[attached] for attached in kept},
-                        route: turn,
-                    }
+                    self._turns[route] = turn
                 if not self.retains:
                     turn.joined = self._last[0]
                     return

@@ -172,9 +172,9 @@ class Sender:
 
         self.route: Route
         if policy is None:
-            send, default_queue = live.open_input(name, is_over)
+            send, default_queue = live.open_input(port, is_over)
         else:
-            self._pass_on, default_queue = live.open_input(name, is_over, self._admit)
+            self._pass_on, default_queue = live.open_input(port, is_over, self._admit)
             send = self._hand_command
         self._require_released = partial(live.require_released, name)
         self.place = place = f"{live.component.name}.{name}"

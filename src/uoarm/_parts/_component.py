@@ -64,8 +64,6 @@ class LiveComponent:
         failures: watches what it raises.
         emergency_stop: holds its inputs that move something.
         announce: called, with a sentence, when an input has another holder of its lease.
-        replaced: what runs now; those of the same function, in whose place it comes, are stopped
-            and take no commands any more before the first one is sent here.
 
     Attributes:
         leases: of the inputs that one sender at a time may command, by name.
@@ -79,15 +77,14 @@ class LiveComponent:
         failures: FailureWatch,
         emergency_stop: EmergencyStop,
         announce: Callable[[str], None],
-        replaced: Iterable[LiveComponent] = (),
     ) -> None:
         self._emergency_stop = emergency_stop
         self.component: Component = step.component
         # Guards what was replaced: a command that is sent here, in any thread, waits until all of
         # it has stopped; what is recalled is never stopped late by what had taken its place.
         self._stopping_replaced = threading.Lock()
-        self._replaced = self._of_my_function(replaced)
-        self._are_replaced_stopped = not self._replaced
+        self._replaced: tuple[LiveComponent, ...] = ()
+        self._are_replaced_stopped = True
         self.bridge = bridge
         self.structures = step.structures
         self.failures = failures
@@ -177,11 +174,11 @@ class LiveComponent:
 
     def open_input(
         self,
-        name: str,
+        port: Input,
         is_over: Callable[[], bool],
         admit: Callable[[Any], tuple[Message, float]] = lambda message: (message, 0.0),
     ) -> tuple[Callable[[Any], None], QueuePolicy | None]:
-        """Return a send for an input that several connections share, and the queue it needs.
+        """Return a send for one of its inputs, which connections share, and the queue it needs.
 
         None is needed where sending does not block. `admit` is asked of each command when its turn
         has come, and refuses it by raising, or gives what is to be sent and its age in seconds.
@@ -192,19 +189,20 @@ class LiveComponent:
         Raises:
             BridgeError: the bridge could not open it.
         """
+        name = port.name
         self._take_turn()
         try:
             if name not in self._sinks:
+                self._turns[name] = threading.Lock()
                 sink = self._sinks[name] = self.bridge.open_sink(
-                    self.component.input(name).endpoint,
+                    port.endpoint,
                     self.structures[f"input.{name}"],
                     timeout=_OPEN_SECONDS,
                 )
                 self._emergency_stop.enter(sink, self.component.function)
                 watch = self.watches[name]
                 watch.is_later = sink.watch(watch.reported)
-            sink = self._sinks[name]
-            turn = self._turns.setdefault(name, threading.Lock())
+            sink, turn = self._sinks[name], self._turns[name]
         finally:
             self._end_turn()
 
@@ -243,21 +241,28 @@ class LiveComponent:
             live.forget_replaced(self)
         # Also where nothing has stopped it yet: what the plan before commanded ends here.
         self.hold_inputs()
-        with self._stopping_replaced:
-            self._replaced = self._of_my_function(replaced)
-            self._are_replaced_stopped = not self._replaced
+        self.replace(replaced)
         self.release_inputs()
+
+    def replace(self, running: Iterable[LiveComponent]) -> None:
+        """Come in the place of those of the same function.
+
+        They are stopped, and take no commands any more, before the first one is sent here.
+
+        Args:
+            running: what runs now.
+        """
+        function = self.component.function
+        with self._stopping_replaced:
+            self._replaced = tuple(
+                live for live in running if live is not self and live.component.function == function
+            )
+            self._are_replaced_stopped = not self._replaced
 
     def forget_replaced(self, live: LiveComponent) -> None:
         """Neither stop nor release a component any more in whose place this came."""
         with self._stopping_replaced:
             self._replaced = tuple(item for item in self._replaced if item is not live)
-
-    def _of_my_function(self, lives: Iterable[LiveComponent]) -> tuple[LiveComponent, ...]:
-        function = self.component.function
-        return tuple(
-            live for live in lives if live is not self and live.component.function == function
-        )
 
     def hold_inputs(self) -> None:
         """Stop the inputs that move something and have them refuse commands. Bounded in time."""
@@ -566,7 +571,7 @@ class LiveEdge:
             self._open_route(clock)
 
     def _open_route(self, clock: Clock) -> None:
-        send, default_queue = self.consumer.open_input(self.edge.input, lambda: route.closed)
+        send, default_queue = self.consumer.open_input(self._input, lambda: route.closed)
         queue = self._input.queue or default_queue
 
         def hand(message: Message) -> None:

@@ -120,7 +120,7 @@ class Bridge(BridgeSteps):
 
         One with a command policy does not: as it closes, its stop message may be sent.
         """
-        if endpoint.command is not None or self._is_closed:
+        if endpoint.command is not None or self._is_closed or forks.generation != self._process:
             return False
         try:
             return self._is_quick(endpoint)
@@ -501,7 +501,11 @@ class Bridge(BridgeSteps):
         keeps_time: Callable[[], bool] | None = None,
         grace: float = 0.0,
     ) -> T:
-        self._require_own(what)
+        if self._is_closed:
+            raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
+        if forks.generation != self._process:
+            text = f"bridge {self.name!r} belongs to the parent of this process: {what}"
+            raise BridgeError(text, FailureReason.CLOSED)
         step = self._named(what)
         with translated(step):
             return deadlines.run(
@@ -513,14 +517,6 @@ class Bridge(BridgeSteps):
                 keeps_time=keeps_time is not None and keeps_time(),
                 grace=grace,
             )
-
-    def _require_own(self, what: str | BoundedStep) -> None:
-        """Refuse a step that this bridge may not begin."""
-        if self._is_closed:
-            raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
-        if forks.generation != self._process:
-            text = f"bridge {self.name!r} belongs to the parent of this process: {what}"
-            raise BridgeError(text, FailureReason.CLOSED)
 
     def _named(self, what: str | BoundedStep) -> BoundedStep:
         return BoundedStep(f"bridge {self.name!r}: ", what)
@@ -537,7 +533,6 @@ class Bridge(BridgeSteps):
         is_quick: bool = False,
     ) -> C:
         if is_quick:  # which needs neither a limit nor a thread, and is never late
-            self._require_own(what)
             try:
                 channel = action()
             except BaseException:  # opened five times in a short request: named when it fails

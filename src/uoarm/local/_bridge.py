@@ -295,7 +295,9 @@ class PythonBridge(Bridge):
         try:
             with slot.building:
                 if slot.instance is None:
-                    self._close_before(slot)
+                    before, slot.before = slot.before, None
+                    if before is not None:
+                        self._close_dead(slot.key[0], before)
                     coroutines = Coroutines(self._loop, self._handler_seconds)
                     slot.instance = Instance(target, endpoint.parameters, coroutines, self._workers)
                 return slot, slot.instance
@@ -303,14 +305,12 @@ class PythonBridge(Bridge):
             self._leave(slot)
             raise
 
-    def _close_before(self, slot: _Slot) -> None:
-        """Have what died let go of what it holds, which the new instance may need."""
-        before, slot.before = slot.before, None
-        if before is not None:
-            try:
-                foreign(before.close)
-            except Exception as error:  # noqa: BLE001 - it is dead, and the new one may do well
-                self._warn(slot.key[0], f"closing what died raised {text_of(error)}", error)
+    def _close_dead(self, component: str, instance: Instance) -> None:
+        """Have what died let go of what it holds, which the instance in its place may need."""
+        try:
+            foreign(instance.close)
+        except Exception as error:  # noqa: BLE001 - it is dead, and the new one may do well
+            self._warn(component, f"closing what died raised {text_of(error)}", error)
 
     def _leave(self, slot: _Slot) -> None:
         with self._counting:

@@ -119,8 +119,11 @@ class Driver:
         """Take an event. Quick: what follows from it may be done later, in other threads."""
         # An event that is appended is handled, whatever is raised in this thread afterwards.
         with Uninterrupted():
-            self._events.append(event)
-            self._work()
+            self._take(event)
+
+    def _take(self, event: ev.Event) -> None:
+        self._events.append(event)
+        self._work()
 
     def _work(self) -> None:
         # Who finds the state owned leaves its event to the owner, who looks again after it let go.
@@ -157,7 +160,7 @@ class Driver:
                 self.live.runtimes[runtime.id] = runtime
                 # Before it, too: a lane that is not reserved is served by a worker thread.
                 self._lanes.reserve(event.waiter)
-                self.post(event)
+                self._take(event)
                 is_over = self._lanes.drive_quick(event.waiter)  # sharing costs no hop
             if not is_over:
                 deadlines.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
@@ -214,7 +217,7 @@ class Driver:
                 # `Adopt` finds it by its number, in the thread that owns the state.
                 self._revisions.expect(staged)
                 self._lanes.reserve(event.waiter)
-                self.post(event)
+                self._take(event)
             deadlines.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         if not self._wait_delivered(max(0.0, deadline - time.monotonic())):
             raise BridgeTimeoutError(f"{step_name}: an application that is called now holds it up")
@@ -265,7 +268,7 @@ class Driver:
             # Reserved before the event, or a worker would serve the lane and this thread wait for a
             # reply that went there.
             self._lanes.reserve(event.waiter)
-            self.post(event)
+            self._take(event)
             self._lanes.drive(event.waiter)
 
     def report(self, event: HealthEvent, *, is_avoided: bool = False) -> None:

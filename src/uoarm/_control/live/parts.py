@@ -473,14 +473,16 @@ class LiveParts:
         limits, report = self._owner.state.policy.failing, partial(self._judged, record.id)
         failures = FailureWatch(component.name, limits, self._clock, report)
         subject, function = f"component {component.name}", component.function
-        self.components[record.id] = LiveComponent(
+        live = LiveComponent(
             record.step,
             bridge,
             failures,
             self.emergency_stop,
             lambda cause: self._announce(subject, "leased", cause, function),
-            replaced,
         )
+        if replaced:
+            live.replace(replaced)
+        self.components[record.id] = live
 
     def _open_output(self, part: Part) -> None:
         """Open an output that has a route; one that only feeds native links stays closed."""
