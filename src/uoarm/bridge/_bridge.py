@@ -125,7 +125,7 @@ class Bridge(BridgeSteps):
         try:
             return self._is_quick(endpoint)
         except BaseException:  # asked several times in each request: names itself when it fails
-            with translated(self._named(BoundedStep("looking at ", endpoint))):
+            with translated(BoundedStep(f"bridge {self.name!r}: looking at ", endpoint)):
                 raise
 
     @final
@@ -501,12 +501,10 @@ class Bridge(BridgeSteps):
         keeps_time: Callable[[], bool] | None = None,
         grace: float = 0.0,
     ) -> T:
-        if self._is_closed:
-            raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
-        if forks.generation != self._process:
-            text = f"bridge {self.name!r} belongs to the parent of this process: {what}"
-            raise BridgeError(text, FailureReason.CLOSED)
-        step = self._named(what)
+        if self._is_closed or forks.generation != self._process:
+            why = "is closed" if self._is_closed else "belongs to the parent of this process"
+            raise BridgeError(f"bridge {self.name!r} {why}: {what}", FailureReason.CLOSED)
+        step = BoundedStep(f"bridge {self.name!r}: ", what)
         with translated(step):
             return deadlines.run(
                 step,
@@ -517,9 +515,6 @@ class Bridge(BridgeSteps):
                 keeps_time=keeps_time is not None and keeps_time(),
                 grace=grace,
             )
-
-    def _named(self, what: str | BoundedStep) -> BoundedStep:
-        return BoundedStep(f"bridge {self.name!r}: ", what)
 
     def _opened(
         self,
@@ -536,7 +531,7 @@ class Bridge(BridgeSteps):
             try:
                 channel = action()
             except BaseException:  # opened five times in a short request: named when it fails
-                with translated(self._named(what)):
+                with translated(BoundedStep(f"bridge {self.name!r}: ", what)):
                     raise
         else:
             ends_late = partial(put_away, on_late=on_late, gate=gate)

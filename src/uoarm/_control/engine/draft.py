@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Collection, Container, Hashable, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from itertools import chain
@@ -157,10 +158,9 @@ class Draft(State):
             InputInUseError: an input is in use, fed by another component. Nothing has changed.
         """
         # All is judged before anything is changed, so that a refusal leaves nothing behind.
-        into: dict[str, list[tuple[Edge, int | None]]] = {}
+        into: dict[str, list[tuple[Edge, int | None]]] = defaultdict(list)
         for edge in plan.edges:
-            joined = self._edge_for(edge, beside=beside)
-            into.setdefault(edge.consumer, []).append((edge, joined))
+            into[edge.consumer].append((edge, self._edge_for(edge, beside=beside)))
         # `plan.steps` has producers first, and consumers open first.
         ids = {step.component.name: self._use(step, user) for step in reversed(plan.steps)}
         provider = plan.provider.component.name
@@ -170,24 +170,24 @@ class Draft(State):
         stays = so_far is not None and so_far.provider == ids[provider]
         ports = so_far.ports if so_far is not None and stays else self.new_id()
         parts = [Part(Kind.COMPONENT, id_) for id_ in ids.values()]
-        outputs: dict[str, set[str]] = {}
+        outputs: dict[str, set[str]] = defaultdict(set)
         if record.output is not None:
             parts.append(Part(Kind.RECEIVE, ports))
-            outputs[provider] = {record.output}
-        edges: dict[str, list[int]] = {name: [] for name in reversed(ids)}  # producers first
+            outputs[provider].add(record.output)
+        edges: dict[str, list[int]] = defaultdict(list)
         # An output comes after every edge that it feeds, as its source delivers from the moment in
         # which it opens. The edges of a component open, and then the outputs that they come from.
         for name, id_ in ids.items():
-            parts += [Part(Kind.OUTPUT, id_, port) for port in sorted(outputs.get(name, ()))]
-            for edge, joined in into.get(name, ()):
-                outputs.setdefault(edge.producer, set()).add(edge.output)
+            parts += [Part(Kind.OUTPUT, id_, port) for port in sorted(outputs[name])]
+            for edge, joined in into[name]:
+                outputs[edge.producer].add(edge.output)
                 number = self._join(edge, joined, ids, user, record.validate)
                 parts.append(Part(Kind.EDGE, number))
                 edges[edge.producer].append(number)
         # Last: what the application sends finds all that it leads to.
         parts.append(Part(Kind.SEND, ports))
         self.concerned.append(record.id)
-        fed = tuple(chain(*edges.values()))
+        fed = tuple(chain(*map(edges.__getitem__, plan.names)))  # producers first
         return Placement(user, plan, ids, ids[provider], fed, ports, tuple(parts))
 
     def unplace(self, placement: Placement, *, ports: bool = True) -> Parts:
@@ -367,13 +367,7 @@ class Draft(State):
     def settle(
         self, record: ConnectionRecord | None, batch: Batch, done: Collection[Part]
     ) -> Parts:
-        """Note what became of a batch that is over; return what was opened and has no user.
-
-        Args:
-            record: of the connection that it was opened for; None where that has ended.
-            batch: it.
-            done: what is open of it.
-        """
+        """Note what became of a connection's batch that is over; return what is open and unused."""
         plans = () if record is None else record.plans
         # Mostly all is open, and the plan that it was opened for is there still, which uses it all.
         if len(done) == len(batch.parts) and any(plan.user == batch.user for plan in plans):

@@ -147,8 +147,9 @@ class Driver:
             BridgeTimeoutError: it is not, in time; it is given up.
             UoarmError: it failed.
         """
-        with span("request", function=str(event.wanted), connection=runtime.id):
-            runtime.context = current()
+        with span("request", function=str(event.wanted), connection=runtime.id) as traced:
+            if traced is not None:
+                runtime.context = current()
             self._request(runtime, event, step_name, timeout)
 
     def _request(
@@ -513,7 +514,7 @@ class Driver:
 
     def _open(self, action: act.Open, state: State) -> ev.Event:
         """Open a batch; a first plan has the time limit of its request."""
-        done = OpenedParts()
+        done = OpenedParts(action.parts)
         open_parts = partial(self.live.open, action, state, done, self._cancelled)
         record, left = state.connections.get(action.connection), deadlines.left(math.inf)
         try:

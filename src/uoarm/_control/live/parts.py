@@ -94,26 +94,29 @@ class OpenedParts:
     """The parts of a batch that are open. For the thread that opens and the one that waits for it.
 
     Each part is either among those that count as open, or taken out by the thread that opened it.
+
+    Args:
+        parts: of the batch, in the order in which they open.
     """
 
-    def __init__(self) -> None:
-        # Guards the list and whether it was read: a part may open just as its batch is given up.
+    def __init__(self, parts: tuple[Part, ...]) -> None:
+        # Guards the count and whether it was read: a part may open just as its batch is given up.
         self._lock = threading.Lock()
-        self._parts: list[Part] = []
+        self._parts = parts
+        self._count = 0
         self._is_over = False
 
-    def add(self, part: Part) -> bool:
-        """Note a part that is open, and in its table; False where it comes too late."""
+    def add(self) -> bool:
+        """Note that the next part is open, and in its table; False where it comes too late."""
         with self._lock:
-            if not self._is_over:
-                self._parts.append(part)
+            self._count += not self._is_over
             return not self._is_over
 
     def end(self) -> tuple[Part, ...]:
         """Return the parts that are open; those that open later do not count."""
         with self._lock:
             self._is_over = True
-            return tuple(self._parts)
+            return self._parts[: self._count]
 
 
 class _LeavingComponents:
@@ -340,7 +343,7 @@ class LiveParts:
                     case Kind.SEND:
                         self._send(action)
                 # After it is open and in its table: `Opened` says no more than is there.
-                if not done.add(part):
+                if not done.add():
                     self._take_back(part)
                     raise ConnectionClosedError(f"{action.connection} was given up")
         except KeyError as error:  # what it needs was taken out meanwhile
