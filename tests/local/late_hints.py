@@ -1,6 +1,9 @@
 """Components whose hints are read when they are asked for, as CPython 3.14 does without more."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from attrs import define
 
 if TYPE_CHECKING:
     from decimal import Decimal as Absent
@@ -19,3 +22,18 @@ class Doubles:
 
     def __call__(self, message: Absent) -> Absent:
         return message * 2
+
+
+@dataclass
+class Whole:
+    part: Part  # noqa: F821 - defined below
+
+
+@define
+class Defined:
+    part: Part  # noqa: F821 - defined below
+
+
+@dataclass
+class Part:
+    value: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import importlib
 import sys
 import typing
 from array import array
@@ -18,7 +19,7 @@ import pytest
 from hypothesis import given, reject
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from tests.local import talk, typed_parts
+from tests.local import quoted_parts, talk, typed_parts
 from tests.processes import run_python
 from typing_extensions import NotRequired, ReadOnly, Required, TypedDict
 
@@ -34,6 +35,9 @@ from uoarm.schema import check
 from uoarm.testing import patience, same
 
 SCAN = typed_parts.scan_of()
+_with_late_hints = pytest.mark.skipif(
+    sys.version_info < (3, 14), reason="before CPython 3.14 such a module is not imported"
+)
 
 
 class Named(TypedDict):
@@ -365,6 +369,30 @@ def test_a_handler_gets_an_int_where_its_hint_says_so(hint: Any, given: Any, exp
     assert repr(given) == before  # others get it, too
 
 
+@pytest.mark.parametrize("name", ["Whole", "Defined", "Tuple", "Mapped"])
+def test_what_hints_name_before_it_is_defined_is_converted_both_ways(name: str) -> None:
+    kind = getattr(quoted_parts, name)
+    read, write = reader(kind, "here"), writer(kind, "here")
+    assert read is not None
+    assert write is not None
+    message = {"parts": [{"value": 1}], "spare": {"value": 2}}
+    value = read(message)
+    assert value == kind(parts=[quoted_parts.Part(1)], spare=quoted_parts.Part(2))
+    assert write(value) == message
+    with pytest.raises(MessageError, match=r"'value' is missing @ the message\.parts\[0\]\."):
+        read({"parts": [{}], "spare": None})
+
+
+def test_a_class_whose_hints_name_itself_is_converted_both_ways() -> None:
+    read, write = reader(quoted_parts.Tree, "here"), writer(quoted_parts.Tree, "here")
+    assert read is not None
+    assert write is not None
+    message = {"value": 1, "children": [{"value": 2, "children": []}]}
+    value = read(message)
+    assert value == quoted_parts.Tree(1, [quoted_parts.Tree(2, [])])
+    assert write(value) == message
+
+
 class Branch(TypedDict):
     number: int
     twigs: list[Branch]
@@ -565,9 +593,7 @@ def test_hints_that_are_imported_for_a_type_checker_alone_are_refused(role: Role
         talk.describe("absent", role)
 
 
-@pytest.mark.skipif(
-    sys.version_info < (3, 14), reason="before CPython 3.14 such a module is not imported"
-)
+@_with_late_hints
 @pytest.mark.parametrize("name", ["takes", "Doubles"])
 def test_hints_that_cannot_be_read_late_are_named_and_not_needed(name: str) -> None:
     where = f"tests.local.late_hints:{name}"
@@ -575,6 +601,18 @@ def test_hints_that_cannot_be_read_late_are_named_and_not_needed(name: str) -> N
         talk.describe(where, Role.SERVICE)
     if name == "Doubles":
         assert talk.call(where, 2) == 4  # as its structure is declared
+
+
+@_with_late_hints
+@pytest.mark.parametrize("name", ["Whole", "Defined"])
+def test_what_late_hints_name_is_converted_both_ways(name: str) -> None:
+    late = importlib.import_module("tests.local.late_hints")
+    kind, message = getattr(late, name), {"part": {"value": 1}}
+    read, write = reader(kind, "here"), writer(kind, "here")
+    assert read is not None
+    assert write is not None
+    assert read(message) == kind(late.Part(1))
+    assert write(kind(late.Part(1))) == message
 
 
 def test_a_parameter_whose_hints_cannot_be_read_is_refused_with_its_name() -> None:

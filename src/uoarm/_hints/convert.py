@@ -388,23 +388,46 @@ def _fields(kind: Any, made: Converter, *, is_read: bool) -> dict[str, Any]:
     from cattrs.gen import override  # noqa: PLC0415 - slow import
 
     full, bare = get_type_hints(kind, include_extras=True), get_type_hints(kind)
+    late = _late(kind, full)
     inner = {
         name: plainer
         for name, hint in full.items()
-        if (plainer := _convertible(hint)) != bare[name] or hint != plainer
+        if (plainer := _convertible(hint)) != bare[name] or hint != plainer or name in late
     }
     if is_read:
         return {
-            name: override(struct_hook=_structuring(hint, made)) for name, hint in inner.items()
+            name: override(struct_hook=_structuring(hint, made, is_late=name in late))
+            for name, hint in inner.items()
         }
     return {
-        name: override(unstruct_hook=made.get_unstructure_hook(hint))
+        name: override(
+            unstruct_hook=partial(made.unstructure, unstructure_as=hint)
+            if name in late
+            else made.get_unstructure_hook(hint)
+        )
         for name, hint in inner.items()
     }
 
 
-def _structuring(hint: Any, made: Converter) -> Callable[[Any, Any], Any]:
+def _late(kind: Any, hints: Mapping[str, Any]) -> set[str]:
+    """Return the fields with names in their types that were not there as the class was made.
+
+    cattrs looks them up where a whole type is text alone. Their hooks are asked for with the first
+    value, since such a name may be the class's own.
+    """
+    if not _is_class(kind):
+        return set()
+    found = attrs.fields(kind) if attrs.has(kind) else dataclasses.fields(kind)
+    types = {item.name: item.type for item in found if item.name in hints}
+    if any(isinstance(item, str) for item in types.values()):
+        return set()
+    return {name for name, item in types.items() if item != hints[name]}
+
+
+def _structuring(hint: Any, made: Converter, *, is_late: bool = False) -> Callable[[Any, Any], Any]:
     """Return what makes values of a hint, whatever type it is called with."""
+    if is_late:
+        return lambda value, _: made.structure(value, hint)
     structure = made.get_structure_hook(hint)
     return lambda value, _: structure(value, hint)
 
