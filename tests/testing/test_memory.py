@@ -188,9 +188,13 @@ def test_a_natively_linked_pair_needs_no_route() -> None:
     channel = bridge.link(output("camera"), sink_of("screen"))
     assert channel is not None
     camera.emit({"value": 3})
-    channel.close()
+    bridge.cut()
     camera.emit({"value": 4})
-    assert screen.taken.messages == [{"value": 3}]
+    bridge.mend()
+    camera.emit({"value": 5})
+    channel.close()
+    camera.emit({"value": 6})
+    assert screen.taken.messages == [{"value": 3}, {"value": 5}]
     bridge.close()
 
 

@@ -192,7 +192,8 @@ class MemoryBridge(Bridge):
         write = codec(consumer.structure.schema, PAIRS).write
 
         def relay(row: object, _writer: str = "") -> None:
-            consumer.take(write(read(row)))
+            if not self._is_cut:
+                consumer.take(write(read(row)))
 
         def leave() -> None:
             producer.leave(link)
