@@ -140,6 +140,27 @@ def refuse(tmp_path: Path) -> Refuse:
     return begin
 
 
+@pytest.mark.needs("node")
+def test_a_program_of_node_that_closes_ends_though_the_server_hangs(start: Start) -> None:
+    process, port = start()
+    program = Path(__file__).parent / "clients" / "with_hang.mjs"
+    flags = ["--experimental-websocket", "--no-warnings"]
+    command = ["node", *flags, str(program), f"ws://127.0.0.1:{port}/", str(patience())]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as client:
+        try:
+            assert client.stdin is not None
+            assert client.stdout is not None
+            assert client.stdout.readline() == "open\n"
+            process.send_signal(signal.SIGSTOP)
+            client.stdin.write("close\n")
+            client.stdin.flush()
+            assert client.wait(patience()) == 0
+        finally:
+            process.send_signal(signal.SIGCONT)
+            client.kill()
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_closes_clients_properly_and_quickly(start: Start, number: signal.Signals) -> None:
     process, port = start()

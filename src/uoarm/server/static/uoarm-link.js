@@ -7,6 +7,7 @@ const RESUME = "resume";
 const ALIVE = "alive";
 const LOOK = 5000;
 const MOST_SILENCE = 6; // looks without a message, after which the connection is given up
+const CLOSING = 2000; // milliseconds that a server has to close, too, as far as this can be held to
 const MOST_WAITING = 4096;
 const MUCH = 65536; // octets that the network has not taken
 const LONGEST_KEPT = 3600; // seconds for which a server is believed to keep a session
@@ -24,6 +25,32 @@ export const seconds = () => performance.now() / 1000;
 
 /** Calls a function after so many seconds, which may be infinite. */
 export const later = (act, seconds) => setTimeout(act, Math.min(seconds * 1000, LONGEST_TIMER));
+
+/**
+ * Opens a WebSocket. That of Node.js keeps its program running until the server closes it, too, and has no method that
+ * ends it: it gets `terminate`, as others have, by what undici is given to open it with.
+ */
+export function opened(Socket, url, protocols) {
+  const dispatcher = Socket === globalThis.WebSocket ? globalThis[Symbol.for("undici.globalDispatcher.1")] : null;
+  if (!dispatcher) return new Socket(url, protocols);
+  let below = null;
+  const seen = (handler) => Object.assign(Object.create(handler), {
+    onUpgrade(status, headers, socket) {
+      below = socket;
+      return handler.onUpgrade.call(this, status, headers, socket);
+    },
+  });
+  const dispatch = (options, handler) => dispatcher.dispatch(options, seen(handler));
+  return Object.assign(new Socket(url, { protocols, dispatcher: { dispatch } }), { terminate: () => below?.destroy() });
+}
+
+/** Closes a WebSocket, in the end without its server, where that is possible. */
+function shut(socket) {
+  socket.close();
+  if (!socket.terminate) return; // a page may be left at any time
+  const late = setTimeout(() => socket.terminate(), CLOSING);
+  socket.addEventListener("close", () => clearTimeout(late));
+}
 
 /** Returns a number of seconds; refuses what is none, of which a timer ends at once. */
 export function checkSeconds(name, value) {
@@ -195,7 +222,7 @@ export class Link {
   #leave(socket) {
     socket.onmessage = socket.onclose = null;
     this.#socket = null;
-    socket.close();
+    shut(socket);
   }
 
   /** Send one message that will be answered, at once or when the connection is renewed. */
@@ -223,7 +250,8 @@ export class Link {
     this.#over = true;
     clearInterval(this.#timer);
     this.#wake();
-    (this.#socket ?? this.#trying)?.close();
+    const socket = this.#socket ?? this.#trying;
+    if (socket) shut(socket);
   }
 
   /** Open a socket; `greet` gets its first message, and calls `greeted` when all is well. */
@@ -237,7 +265,7 @@ export class Link {
         if (state === "greeted" || state === "failed") return;
         state = "failed";
         clearTimeout(late);
-        socket.close();
+        shut(socket);
         reject(error);
       };
       const late = later(() => fail(new UoarmError("closed", `no answer within ${Number(timeout.toPrecision(3))} s`)), timeout);
@@ -350,7 +378,7 @@ export class Link {
   }
 
   #passQueued(socket) {
-    if (this.#over) socket.close();
+    if (this.#over) shut(socket);
     else for (const received of this.#queue.splice(0)) this.#pass(received);
   }
 

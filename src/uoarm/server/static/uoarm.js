@@ -1,6 +1,6 @@
 // A client of `uoarm serve` for browsers and Node, without dependencies. Types: uoarm.d.ts.
 import { decode, encode, listOf } from "./uoarm-cbor.js";
-import { Link, UoarmError, checkSeconds, checked, errorOf, later, seconds } from "./uoarm-link.js";
+import { Link, UoarmError, checkSeconds, checked, errorOf, later, opened, seconds } from "./uoarm-link.js";
 
 export { UoarmError };
 
@@ -729,7 +729,7 @@ export async function connect(
   if (shown !== undefined) protocols.push(`uoarm.token.${shown}`);
   const open = () => {
     try {
-      return new Socket(url, protocols);
+      return opened(Socket, url, protocols);
     } catch { // with a text that may have the token
       throw new UoarmError("usage", NO_URL);
     }
