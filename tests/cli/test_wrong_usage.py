@@ -311,7 +311,7 @@ def test_help_for_which_there_is_no_room_is_said_as_anything_else(
             env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
             timeout=2 * patience(),
         )
-    assert (done.returncode, "nothing more can be written" in done.stderr) == (1, True)
+    assert (done.returncode, "nothing more can be written" in done.stderr) == (6, True)
     assert "Traceback" not in done.stderr
 
 

@@ -67,7 +67,7 @@ def test_events_are_followed_until_an_interrupt(server: Server, robot: RobotMana
 
 
 @pytest.mark.parametrize(
-    ("room", "code", "said"), [("full", 1, "nothing more can be"), ("", 1, "")]
+    ("room", "code", "said"), [("full", 6, "nothing more can be"), ("", 6, "")]
 )
 def test_what_cannot_be_printed_is_not_said_of_the_server(
     server: Server, room: str, code: int, said: str
