@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import os
+import subprocess
+import sys
 from contextlib import closing
 
 import pytest
@@ -14,7 +17,7 @@ from uoarm import RobotManager
 from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import BridgeTimeoutError
 from uoarm.model import Endpoint, Health, Role
-from uoarm.testing import MemoryBridge, hanging, patience, wait
+from uoarm.testing import MemoryBridge, hanging, hold_idle, patience, wait
 from uoarm.testing._resources import idle_share
 from uoarm.testing._waiting import default_limits
 from uoarm.testing.conformance._failures import HealthLog
@@ -78,6 +81,22 @@ def test_where_waking_is_expensive_what_waits_may_take_more() -> None:
     assert idle_share(1.0, [0.002] * 2) == pytest.approx(0.05)  # either may have been disturbed
     assert idle_share(1.0, [0.03, 0.002, 0.0001]) == pytest.approx(0.06)
     assert idle_share(1.0, [0.0015] * 3) == pytest.approx(0.2)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux says what threads want")
+def test_a_loop_that_is_given_no_processor_turns_for_nothing_too() -> None:
+    loop = [sys.executable, "-c", "while True: pass"]
+    with subprocess.Popen(loop) as starved, subprocess.Popen(loop) as busy:
+        try:
+            core = min(os.sched_getaffinity(0))
+            for process in (starved, busy):
+                os.sched_setaffinity(process.pid, {core})
+            os.setpriority(os.PRIO_PROCESS, starved.pid, 19)
+            with pytest.raises(AssertionError, match="a loop turns for nothing here"):
+                hold_idle("here", starved.pid, timeout=2.0)
+        finally:
+            starved.kill()
+            busy.kill()
 
 
 @given(slower=floats(1, 1000), wakes=lists(floats(0, 10)))

@@ -26,6 +26,7 @@ _MOST_IDLE_SHARE = 0.15
 _WAKES_PER_SECOND = 100
 _MOST_WAKING_SHARE = 0.2
 _LOOKS_BEFORE_CREDIT = 3
+_MOST_WANTED_SHARE = 0.5
 
 
 def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
@@ -48,13 +49,20 @@ def hold_idle(moment: str, *others: int, timeout: float | None = None) -> None:
     wakes: list[float] = []
 
     def is_idle() -> bool:
+        wanted = _wanted_seconds(others)
         begin, before = time.monotonic(), _processor_seconds(others)
         own = time.thread_time()
         threading.Event().wait(_LOOK_SECONDS)
         wakes.append(time.thread_time() - own)
         used = _processor_seconds(others) - before
-        shares.append(used / (time.monotonic() - begin))
-        return shares[-1] < idle_share(max(slowness(), crowd()), wakes)
+        seconds = time.monotonic() - begin
+        shares.append(used / seconds)
+        if shares[-1] >= idle_share(max(slowness(), crowd()), wakes):
+            return False
+        now = _wanted_seconds(others)
+        most = max((now[thread] - wanted[thread] for thread in wanted.keys() & now), default=0.0)
+        shares[-1] = max(shares[-1], most / seconds)
+        return most < _MOST_WANTED_SHARE * seconds
 
     try:
         wait(is_idle, timeout=timeout)
@@ -141,6 +149,17 @@ def _processor_seconds(others: tuple[int, ...]) -> float:
             user, system = text.rpartition(")")[2].split()[11:13]  # its name may have blanks
             seconds += (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
     return seconds
+
+
+def _wanted_seconds(others: tuple[int, ...]) -> dict[Path, float]:
+    """Return how long each thread has run, or waited for a processor; none where none is said."""
+    wanted = {}
+    for process in (os.getpid(), *others):
+        for thread in Path(f"/proc/{process}/task").glob("*"):
+            with suppress(OSError):  # it has ended, or this is not Linux
+                run, waited = (thread / "schedstat").read_text(encoding="utf-8").split()[:2]
+                wanted[thread] = (int(run) + int(waited)) / 1e9
+    return wanted
 
 
 def _open_descriptors() -> dict[int, str]:
