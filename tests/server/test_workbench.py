@@ -360,11 +360,11 @@ class TestRecordings:
         server = serve(recordings=tmp_path)
         browser.go(f"http://127.0.0.1:{server.ports[0]}/#/graph/function/camera")
         browser.click(".panel .button", "Record")
-        browser.until(says(".panel .parts:last-of-type", "Stop recording"))
+        browser.until(says(".panel", "Stop recording"))
         front.take((1, 2, 3))
-        browser.until(says(".panel .parts:last-of-type .facts", ".mcap"))
+        browser.until(says(".panel", ".mcap"))
         browser.click(".panel .button", "Stop recording")
-        browser.until(says(".panel .parts:last-of-type", "ended"))
+        browser.until(says(".panel", "ended"))
         assert list(tmp_path.glob("*.mcap"))
 
 
@@ -479,7 +479,7 @@ functions:
         browser.until(says(".panel .facts", "of_then (recorded)"))
         browser.until(says('[data-card="function/then"] .row', "recorded"))
         browser.click(".tabs a", "Overview")
-        browser.until(says(".panel .part-head", "recorded"))
+        browser.until(says(".panel .parts:last-of-type .part-head", "recorded"))
         browser.click(".panel [aria-label='Close (Escape)']")
         browser.click("nav a", "List")
         browser.until(says('[data-item="then"]', "of_then (recorded)"))
