@@ -5,8 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import subprocess
-import sys
-from contextlib import closing
+from contextlib import ExitStack, closing
 
 import pytest
 from hypothesis import given
@@ -17,7 +16,7 @@ from uoarm import RobotManager
 from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import BridgeTimeoutError
 from uoarm.model import Endpoint, Health, Role
-from uoarm.testing import MemoryBridge, hanging, hold_idle, patience, wait
+from uoarm.testing import MemoryBridge, _resources, hanging, hold_idle, patience, wait
 from uoarm.testing._resources import idle_share
 from uoarm.testing._waiting import default_limits
 from uoarm.testing.conformance._failures import HealthLog
@@ -84,19 +83,19 @@ def test_where_waking_is_expensive_what_waits_may_take_more() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux says what threads want")
-def test_a_loop_that_is_given_no_processor_turns_for_nothing_too() -> None:
-    loop = [sys.executable, "-c", "while True: pass"]
-    with subprocess.Popen(loop) as starved, subprocess.Popen(loop) as busy:
-        try:
-            core = min(os.sched_getaffinity(0))
-            for process in (starved, busy):
-                os.sched_setaffinity(process.pid, {core})
-            os.setpriority(os.PRIO_PROCESS, starved.pid, 19)
-            with pytest.raises(AssertionError, match="a loop turns for nothing here"):
-                hold_idle("here", starved.pid, timeout=2.0)
-        finally:
-            starved.kill()
-            busy.kill()
+def test_a_loop_that_others_leave_little_time_turns_for_nothing_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_resources, "crowd", lambda: 8.0)
+    loop, core = ["sh", "-c", "while :; do :; done"], {min(os.sched_getaffinity(0))}
+    with ExitStack() as stack:
+        # Each has a thirteenth of one core, and its turn several times in each look.
+        for _ in range(13):
+            process = stack.enter_context(subprocess.Popen(loop))
+            stack.callback(process.kill)
+            os.sched_setaffinity(process.pid, core)
+        with pytest.raises(AssertionError, match="a loop turns for nothing here"):
+            hold_idle("here", process.pid, timeout=2.0)
 
 
 @given(slower=floats(1, 1000), wakes=lists(floats(0, 10)))
