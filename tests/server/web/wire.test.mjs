@@ -152,6 +152,7 @@ test("a watch is opened again when the connection is back, with the gap marked",
   watches.take("c1", { x: 1 });
   watches.see({ connections: [{ id: "c1", components: ["b", "c"] }] });
   assert.deepEqual(watch.components, ["b", "c"]);
+  watches.refused(watch.connection, { text: "the server is closing" });
   watches.broken();
   assert.deepEqual([watch.away, watch.end], [true, null]);
   await watches.close("g"); // sends the server nothing: it knows no such connection any more
@@ -161,7 +162,7 @@ test("a watch is opened again when the connection is back, with the gap marked",
   await watches.again();
   assert.deepEqual([watch.away, watch.end], [true, null]);
   await watches.again();
-  assert.deepEqual([watch.away, watch.gaps, watch.components], [false, 1, ["a"]]);
+  assert.deepEqual([watch.away, watch.gaps, watch.components, watch.note], [false, 1, ["a"], ""]);
   watches.take("c1", { x: 3 });
   assert.deepEqual(watch.series.get("x").starts, [true, true]);
   watches.broken();

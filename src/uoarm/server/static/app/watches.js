@@ -163,7 +163,7 @@ export class Watches {
   }
 
   #is(watch, { connection, components, inputs, warnings }) {
-    Object.assign(watch, { connection, components, inputs, warnings });
+    Object.assign(watch, { connection, components, inputs, warnings, note: "" }); // what was refused is over
     this.byName.set(watch.name, watch);
     this.byConnection.set(connection, watch);
     this.changed();
