@@ -28,7 +28,7 @@ from uoarm_rocos._catalogue import (
 )
 from uoarm_rocos._profile import ProfileDevice
 
-from uoarm.bridge import Bridge
+from uoarm.bridge import Bridge, Channel
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health
 from uoarm.testing import slowness, wait
@@ -227,18 +227,23 @@ def test_data_of_a_conversation_that_is_over_are_ignored() -> None:
         assert got.get()["x"] == 2.0
 
 
+def open_flow(bridge: Bridge) -> tuple[Channel, ProfileDevice]:
+    structure = bridge.describe(ODOMETRY).message
+    assert structure
+    assert isinstance(bridge, RocosBridge)
+    channel = bridge.open_source(ODOMETRY, structure, print)
+    device = bridge._devices["robot"]
+    assert isinstance(device, ProfileDevice)
+    return channel, device
+
+
 def test_a_flow_that_is_open_since_the_line_came_back_is_not_opened_again() -> None:
     def script(device: Scripted) -> None:
         device.begin()
         device.opened()
 
     def call(bridge: Bridge) -> object:
-        structure = bridge.describe(ODOMETRY).message
-        assert structure
-        assert isinstance(bridge, RocosBridge)
-        channel = bridge.open_source(ODOMETRY, structure, print)
-        device = bridge._devices["robot"]
-        assert isinstance(device, ProfileDevice)
+        channel, device = open_flow(bridge)
         (flow,) = device._flows
         before = flow.id
         # As the line's thread does, just after that.
@@ -259,12 +264,7 @@ def test_a_flow_that_is_closed_as_the_line_comes_back_is_closed_at_the_device() 
             device.receive(kind)
 
     def call(bridge: Bridge) -> object:
-        structure = bridge.describe(ODOMETRY).message
-        assert structure
-        assert isinstance(bridge, RocosBridge)
-        channel = bridge.open_source(ODOMETRY, structure, print)
-        device = bridge._devices["robot"]
-        assert isinstance(device, ProfileDevice)
+        channel, device = open_flow(bridge)
         (flow,) = device._flows
         send = device._conversation.send
 
@@ -299,19 +299,12 @@ def test_a_flow_that_is_closed_as_the_line_is_lost_closes_no_other_conversation(
     ids: list[int] = []
 
     def call(bridge: Bridge) -> object:
-        structure = bridge.describe(ODOMETRY).message
-        assert structure
-        assert isinstance(bridge, RocosBridge)
-        channel = bridge.open_source(ODOMETRY, structure, print)
-        device = bridge._devices["robot"]
-        assert isinstance(device, ProfileDevice)
+        channel, device = open_flow(bridge)
         (flow,) = device._flows
         identity = flow.id
 
-        def lose(
-            identity: int,
-        ) -> bool:  # between the look and the message
-            flow.id = 0
+        def lose(identity: int) -> bool:
+            flow.id = 0  # between the look and the message
             return bool(identity)
 
         device._answers.forget = lose  # type: ignore[method-assign]
