@@ -39,7 +39,8 @@ def write(folder: Path, mode: str, *, unit: str = "Cel", module: str = "kitchen"
 def lock(path: Path) -> None:
     done = CliRunner().invoke(main, ["lock", "-f", str(path)])
     assert done.exit_code == 0, done.output
-    assert path.with_name("robot.lock").exists()
+    name = "arm.conf.lock" if path.name == "arm.conf" else f"{path.stem}.lock"
+    assert path.with_name(name).exists()
 
 
 @pytest.fixture
@@ -140,6 +141,17 @@ def test_a_lock_that_cannot_be_read_is_an_error(
         RobotManager.from_file(path)
     done = CliRunner().invoke(main, ["resolve", "temperature", "-f", str(path)])
     assert done.exit_code == 3, done.output
+
+
+def test_each_robot_of_a_folder_has_a_lock_of_its_own(tmp_path: Path) -> None:
+    cart = write(tmp_path, "enforce").rename(tmp_path / "cart.yaml")
+    lock(cart)
+    arm = write(tmp_path, "enforce", unit="[degF]", module="newer").rename(tmp_path / "arm.conf")
+    lock(arm)
+    for path in (cart, arm):
+        with RobotManager.from_file(path) as robot:
+            assert robot.request("temperature").plan.provider.component.name == "thermometer"
+            assert robot.status().lock == ()
 
 
 def test_a_robot_of_no_file_has_no_lock_beside_it() -> None:

@@ -29,9 +29,9 @@ from uoarm._control.live.driver import Driver
 from uoarm.cdr import Codec
 from uoarm.cli._record import summary
 from uoarm.errors import ResolutionError, UsageError
-from uoarm.model import Message, MessageStructure, QueuePolicy, StatusEvent
+from uoarm.model import Message, MessageStructure, QueuePolicy, Robot, StatusEvent
 from uoarm.record import Recording, RecordOptions, _recording
-from uoarm.record._file import KeptMessage, Ring
+from uoarm.record._file import KeptMessage, Ring, documents
 from uoarm.record._forms import EVENTS
 from uoarm.record._options import Instant
 from uoarm.testing import Background, Hang, MemoryBridge, patience, wait
@@ -708,3 +708,14 @@ def test_a_file_may_have_a_name_that_is_no_text(
             recording.dump()
     status = recording.status()
     assert (status.state, status.channels[0].recorded) == ("ended", 1)
+
+
+def test_the_lock_of_the_configuration_is_attached_unless_it_is_no_file(tmp_path: Path) -> None:
+    robot = Robot({}, {}, origin=str(tmp_path / "cart.yaml"))
+    (tmp_path / "robot.lock").write_text("of another robot")
+    assert [name for name, _ in documents(robot, {})] == ["configuration.json"]
+    (tmp_path / "cart.lock").write_text("what it rests on")
+    assert ("cart.lock", b"what it rests on") in documents(robot, {})
+    (tmp_path / "cart.lock").unlink()
+    os.mkfifo(tmp_path / "cart.lock")  # reading it would wait for ever
+    assert [name for name, _ in documents(robot, {})] == ["configuration.json"]

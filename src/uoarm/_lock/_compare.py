@@ -30,6 +30,7 @@ from uoarm._origin import install_command
 from uoarm._plugins import cause_of, installed, values_of
 from uoarm._raised import Log
 from uoarm._resolve import Structures, Unavailable
+from uoarm._support.files import lock_path
 from uoarm.errors import ConfigurationError, PluginError, ResolutionError
 from uoarm.model import Component, LockDifference, LockMode, MessageStructure, Robot
 from uoarm.plugins import CONTRACT_VERSION, DefinitionFormat, DefinitionHooks, Definitions
@@ -263,8 +264,8 @@ def guard_of(
         return None
     says = f"the configuration says `lock: {robot.lock.value}`"
     if not robot.origin:
-        raise LockError(f"{says}, and was not read from a file: there is no robot.lock beside it")
-    path = Path(robot.origin).with_name("robot.lock")
+        raise LockError(f"{says}, and was not read from a file: there is no lock beside it")
+    path = lock_path(robot.origin)
     if not path.exists():
         raise LockError(f"{says}, and there is no {path}: write it with `uoarm lock`")
     lock = read_lock(path)

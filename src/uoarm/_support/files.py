@@ -164,6 +164,13 @@ def stamp_of(path: Path) -> tuple[int, ...]:
     return found.st_mtime_ns, found.st_size, found.st_ino
 
 
+def lock_path(configuration: str | Path) -> Path:
+    """Return where the lock of a configuration's file is: beside it, `cart.lock` of `cart.yaml`."""
+    path = Path(configuration)
+    is_yaml = path.suffix in (".yaml", ".yml")
+    return path.with_suffix(".lock") if is_yaml else path.with_name(f"{path.name}.lock")
+
+
 def expanded(path: str | Path) -> Path:
     """Return a path in which `~` and `~NAME` are replaced.
 

@@ -29,7 +29,7 @@ from uoarm._lock import (
     uncompared_types,
     write_lock,
 )
-from uoarm._support.files import write_whole
+from uoarm._support.files import lock_path, write_whole
 from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm.bridge import Registry
 from uoarm.cli._output import echo
@@ -159,7 +159,7 @@ FORMS: Mapping[str, Callable[[list[LockFinding], Path], str]] = {
 
 @click.command()
 @takes_configuration()
-@click.option("--lock", "path", help="The lock's file.  [robot.lock beside the configuration]")
+@click.option("--lock", "path", help="The lock's file.  [robot.lock beside robot.yaml]")
 @click.option("--check", is_flag=True, help="Write nothing; say what is different and breaks.")
 @click.option(
     "--against",
@@ -326,7 +326,7 @@ def _beside(file: str) -> Path:
     """
     if not Path(file).exists():
         load(file)
-    return Path(file).parent / "robot.lock"
+    return lock_path(file)
 
 
 def _write_file(path: Path, text: str) -> None:

@@ -167,7 +167,7 @@ class Robot:
         failover: what happens to connections when a component dies.
         hosts: where hosts on other machines join; None where there are none.
         offers: the functions that are offered in frameworks.
-        lock: how requests are held to the `robot.lock` beside the file; None: they are not.
+        lock: how requests are held to the lock beside the file; None: they are not.
         text: the YAML that it was read from, empty when it was built in memory.
         record: what is recorded while the robot is served; None: nothing.
         exports: names and patterns of the functions that other managers may import, by role.

@@ -19,6 +19,7 @@ from attrs import evolve, frozen
 
 from uoarm._origin import install_command
 from uoarm._secrets import without_secrets
+from uoarm._support.files import UnreadableFileError, lock_path, read_octets
 from uoarm._version import __version__
 from uoarm.errors import PluginError, UsageError
 from uoarm.model import Plan, Robot, StatusEvent, to_json, write_json
@@ -397,14 +398,10 @@ def documents(robot: Robot, plans: Mapping[str, Plan]) -> Iterator[tuple[str, by
     yield "configuration.json", _attachment(to_json(evolve(robot, text="")))
     for function, plan in plans.items():
         yield f"plan-{function}.json", _attachment(to_json(plan))
-    lock = Path(robot.origin).with_name("robot.lock") if robot.origin else None
-    if lock is not None:
-        try:
-            content = lock.read_bytes()
-        except OSError:
-            return  # there is none
-        if len(content) <= _MOST_LOCK:
-            yield "robot.lock", content
+    if robot.origin:
+        lock = lock_path(robot.origin)
+        with suppress(UnreadableFileError):  # as a rule there is none
+            yield lock.name, read_octets(lock, _MOST_LOCK)
 
 
 def event_message(event: StatusEvent) -> dict[str, Any]:
