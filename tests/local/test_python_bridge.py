@@ -192,6 +192,9 @@ def test_what_a_hint_leaves_open_the_configuration_may_declare() -> None:
         (f"{HERE}:chang", FailureReason.NOT_FOUND, "did you mean 'change'"),
         (f"{HERE}:NOT_CALLABLE", FailureReason.BAD_ENDPOINT, "expected a function or a class"),
         ("nothing", FailureReason.BAD_ENDPOINT, "module:attribute"),
+        ("eye.py:Eye", FailureReason.BAD_ENDPOINT, "as `import` does, not as a file: 'eye'"),
+        ("./eye.py:Eye", FailureReason.BAD_ENDPOINT, "as `import` does, not as a file: 'eye'"),
+        (".eye:Eye", FailureReason.BAD_ENDPOINT, "as `import` does, not as a file: 'eye'"),
         (f"{HERE}:Eye.__iter__", FailureReason.BAD_ENDPOINT, f"is a method, .* write '{HERE}:Eye'"),
     ],
 )

@@ -17,6 +17,7 @@ from collections.abc import (
     Sequence,
 )
 from functools import cached_property
+from pathlib import PurePath
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin
 
@@ -440,9 +441,13 @@ def address_mistake(address: Sequence[str]) -> str:
     """Return what keeps an address from being `module:attribute`; "" where it is that."""
     name = address[0] if len(address) == 1 else ""
     module, colon, attribute = name.partition(":")
-    if colon and module.strip() and attribute.strip():
+    is_file = module.startswith(".") or module.endswith(".py") or "/" in module
+    if colon and module.strip() and attribute.strip() and not is_file:
         return ""
     text = f"expected one string 'module:attribute', got {list(address)}"
+    if is_file:
+        module = PurePath(module.lstrip(".")).stem
+        return f"{text}; a module is named as `import` does, not as a file: {module!r}"
     module, dot, attribute = name.rpartition(".")
     return f"{text}; did you mean '{module}:{attribute}'?" if dot and not colon else text
 
