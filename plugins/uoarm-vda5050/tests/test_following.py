@@ -100,6 +100,51 @@ def test_a_vehicle_with_another_order_is_busy(release: str, is_known: bool) -> N
     assert ends(reports) == [("rejected", "order 'another' is under way")]
 
 
+@pytest.mark.parametrize("release", ["2.0", "2.1"])
+@pytest.mark.parametrize("is_done", [False, True])
+def test_a_running_instant_action_keeps_no_order_away(release: str, is_done: bool) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    fleet.state(state(vehicle), 0.0)
+    if is_done:
+        (order,) = fleet.goal(goal("a", "b", order="zero"), 0.0)[1]
+        assert isinstance(order, Send)
+        vehicle.order(order.body)
+        assert vehicle.task is not None
+        vehicle.reached(vehicle.task)
+        assert ends(fleet.state(state(vehicle), 0.0)) == [("succeeded", "")]
+    charging = {"actionId": "i", "actionType": "startCharging", "actionStatus": "RUNNING"}
+    fleet.state(state(vehicle, actionStates=[charging]), 0.0)
+    (order,) = fleet.goal(goal("b", "c", order="one"), 0.0)[1]
+    assert isinstance(order, Send)
+    assert order.topic == "order"
+
+
+@BOTH
+def test_an_order_of_before_with_this_name_has_not_reached_other_nodes(release: str) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    vehicle.order(Order.of(goal("a", "b"), "box", RELEASES[release], 10).body)
+    assert vehicle.task is not None
+    vehicle.reached(vehicle.task)
+    fleet.state(state(vehicle), 0.0)
+    assert [status for status, _ in ends(fleet.goal(goal("a", "b", order="box"), 0.0)[1])] == [
+        "succeeded"
+    ]
+    assert ends(fleet.goal(goal("a", "c", order="box"), 0.0)[1]) == [
+        ("aborted", "it ended at node 'b', before its last one")
+    ]
+
+
+@BOTH
+def test_a_vehicle_that_drops_its_order_is_said_to_have_none(release: str) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    vehicle.order(Order.of(goal("a", "b"), "one", RELEASES[release], 10).body)
+    fleet.state(state(vehicle), 0.0)
+    fleet.goal(goal("a", "b", order="one"), 0.0)
+    assert ends(fleet.state(state(vehicle, orderId=""), 0.0)) == [
+        ("aborted", "the vehicle now has no order any more")
+    ]
+
+
 @BOTH
 def test_an_order_that_is_not_cancelled_yet_keeps_others_away_and_says_why(release: str) -> None:
     vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])

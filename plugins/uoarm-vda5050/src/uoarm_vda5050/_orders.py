@@ -17,6 +17,7 @@ Body = dict[str, Any]
 _ENDED = frozenset({"FINISHED", "FAILED"})
 _INSTANT = frozenset(
     {"cancelOrder", "stateRequest", "factsheetRequest", "startPause", "stopPause", "logReport"}
+    | {"downloadMap", "deleteMap"}
 )
 
 
@@ -244,7 +245,8 @@ class OrderReport:
             position=None if where is None else _position(where, release),
             battery=body[second][charge],
             is_active=is_left,
-            is_busy=is_left or any(_is_left(item) for item in own.values()),
+            # Without an order they are instant actions, all of them.
+            is_busy=is_left or bool(body["orderId"] and any(map(_is_left, own.values()))),
         )
 
     def status_of(self, action_id: str) -> str:
@@ -255,6 +257,12 @@ class OrderReport:
     def is_under_way(self, action_id: str) -> bool:
         """Say whether the vehicle knows of an action that has not ended."""
         return self.status_of(action_id) not in {"", *_ENDED}
+
+    def is_busy_with(self, order: Order | None) -> bool:
+        """Say whether its order is under way; of a known one it is known which actions it has."""
+        if order is None or order.order_id != self.order_id:
+            return self.is_busy
+        return self.is_active or any(map(self.is_under_way, order.actions))
 
     def feedback(self, order: Order) -> Body:
         """Return the feedback of a transport order."""

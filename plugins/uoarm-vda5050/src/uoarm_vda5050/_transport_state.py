@@ -110,6 +110,7 @@ class TransportState:
     phase: Phase = Phase.NONE
     _order: Order | None = None
     _update: Order | None = None  # sent, and not seen in a state yet
+    _ended: Order | None = None  # that of the last goal that has ended
     _known: OrderReport | None = None  # the last state of this connection of the vehicle
     _online: bool = True
     _repeat_at: float = 0.0
@@ -162,7 +163,7 @@ class TransportState:
             text = "the vehicle is not connected"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         known = self._known
-        if known is not None and known.is_busy and known.order_id != order_id:
+        if known is not None and known.order_id != order_id and known.is_busy_with(self._ended):
             which = "is being cancelled" if known.order_id in self._abandoned else "is under way"
             return order_id, _ended(order_id, "rejected", f"order {known.order_id!r} {which}")
         self._order, self._give_up_at = order, now + self.times.accept
@@ -187,7 +188,7 @@ class TransportState:
         self._unread = 0
         actions = self._cancel_abandoned(known, now)
         if self.phase is Phase.ASKING:
-            if known.is_busy and known.order_id != self.goal_id:
+            if known.order_id != self.goal_id and known.is_busy_with(self._ended):
                 return [*actions, *self._end("rejected", f"order {known.order_id!r} is under way")]
             return [*actions, *self._begin(known, now)]
         if self.phase is Phase.SENT:
@@ -302,7 +303,8 @@ class TransportState:
         order = self._order
         assert order is not None, "there is a goal"
         if known.order_id != order.order_id:
-            return self._end("aborted", f"the vehicle now has order {known.order_id!r}")
+            what = f"order {known.order_id!r}" if known.order_id else "no order any more"
+            return self._end("aborted", f"the vehicle now has {what}")
         if self._update is not None:
             if known.update_id >= self._update.update_id:
                 order = self._order = self._update
@@ -334,7 +336,8 @@ class TransportState:
             self._settle_at = now + self.times.settle if waiting is None else waiting
             return []
         failed = [action for action in order.actions if known.status_of(action) == "FAILED"]
-        is_there = known.last_sequence == order.steps[-1][1]
+        # An order of this name may be one of before, over other nodes.
+        is_there = (known.last_node, known.last_sequence) == order.steps[-1][:2]
         if is_there and not failed and not unsaid:
             return self._end("succeeded", "")
         if is_cancelled:
@@ -356,10 +359,10 @@ class TransportState:
         was_sent = self.phase in {Phase.SENT, Phase.UNDER_WAY}
         # One that no state has shown may come yet, behind what cancelled it, or an error that was
         # taken for its refusal.
-        is_open = shown is None or (shown.is_busy and status in {"lost", "aborted"})
+        is_open = shown is None or (shown.is_busy_with(order) and status in {"lost", "aborted"})
         if was_sent and is_open:
             self._abandon(order.order_id)
-        self.phase, self._order, self._update = Phase.NONE, None, None
+        self.phase, self._order, self._update, self._ended = Phase.NONE, None, None, order
         self._cancel_id, self._settle_at, self._old_errors = "", None, ()
         return _ended(
             order.order_id,
@@ -379,7 +382,7 @@ class TransportState:
         action_id = self._abandoned.get(known.order_id)
         if action_id is None or known.order_id == self.goal_id:
             return []
-        if not known.is_busy:
+        if not known.is_busy_with(self._ended):
             del self._abandoned[known.order_id]
             return []
         status = known.instants.get(action_id)
