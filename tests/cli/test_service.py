@@ -21,6 +21,7 @@ from uoarm.errors import UsageError
 ROOT = Path(__file__).parents[2]
 OTHER_USER = next(entry for entry in pwd.getpwall() if entry.pw_uid not in {0, os.getuid()})
 BRIDGE = 4
+LONG = "long" * 100
 ROBOT = """
 version: 1
 bridges: {broker: {plugin: mqtt, options: {password_file: broker.password}}, python: {}}
@@ -64,11 +65,11 @@ class Machine:
         unit = self.folder / "uoarm.service"
         unit.write_text(text, encoding="utf-8")
         by_check: dict[str, list[Finding]] = {}
-        for finding in examine(read_unit(unit), self._look):
+        for finding in examine(read_unit(unit), self.look):
             by_check.setdefault(finding.check, []).append(finding)
         return by_check
 
-    def _look(self, path: Path) -> os.stat_result:
+    def look(self, path: Path) -> os.stat_result:
         kind = stat.S_IFMT(path.stat().st_mode)
         rights = self._rights.get(path, 0o755)
         return os.stat_result((kind | rights, 0, 0, 1, 0, 0, 0, 0, 0, 0))
@@ -120,6 +121,8 @@ def test_the_unit_of_this_repository_has_nothing_wrong(machine: Machine) -> None
         (("--port ", "--front-end-port x=a --port "), "ports", Level.ERROR, "x=a: expected a port"),
         (("--port ", "--rosbridge-port 70000 --port "), "ports", Level.ERROR, "70000: expected"),
         (("robot.yaml --host", "gone.yaml --host"), "configuration", Level.ERROR, "gone.yaml"),
+        (("robot.yaml --host", f"{LONG} --host"), "configuration", Level.ERROR, "there is no"),
+        (("--log-format json", f"--access {LONG}"), "secrets", Level.ERROR, "there is no file"),
     ],
 )
 def test_what_does_not_hold_is_found(
@@ -152,13 +155,32 @@ def test_rights_of_secrets_are_looked_at(machine: Machine, rights: int, text: st
     assert [str(key) in item.text for item in found] == [True, False]
 
 
+@pytest.mark.parametrize("words", ["-f {}", "--file={}"])
+def test_a_configuration_that_is_named_by_its_option_is_looked_at(
+    machine: Machine, words: str
+) -> None:
+    file = str(machine.configuration)
+    found = machine.found((file, words.format(file)))
+    assert [item.text for item in found["configuration"]] == [file]
+
+
+def test_a_secret_that_is_no_name_of_a_file_is_not_repeated(machine: Machine) -> None:
+    secret = f"{{password: {LONG}}}"
+    machine.file("robot.yaml", ROBOT.replace("{password_file: broker.password}", secret), 0o644)
+    assert [item.text for item in machine.found()["secrets"]] == ["no files of secrets are named"]
+
+
 def test_what_who_asks_may_not_look_at_is_found_and_the_rest_is_looked_at(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(path: Path) -> bool:
-        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+    look = machine.look
 
-    monkeypatch.setattr(Path, "is_file", refuse)
+    def refuse(path: Path) -> os.stat_result:
+        if path == machine.configuration:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return look(path)
+
+    monkeypatch.setattr(machine, "look", refuse)
     found = machine.found()
     (finding,) = found["configuration"]
     assert finding.level is Level.WARNING

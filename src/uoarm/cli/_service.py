@@ -107,7 +107,7 @@ def find_unit(name: str, root: Path = Path("/")) -> Path:
         UsageError: there is none.
     """
     if "/" in name:
-        if Path(name).is_file():
+        if os.path.isfile(name):
             return Path(name)
         raise UsageError(f"there is no unit file {name}", error_code=_UNREADABLE)
     file = name if name.endswith(".service") else f"{name}.service"
@@ -260,7 +260,7 @@ class _Examination:
         if file is None:
             yield Level.ERROR, "ExecStart names no configuration file"
             return
-        if not file.is_file():
+        if not self._is_file(file):
             yield Level.ERROR, f"there is no configuration file {file}"
             return
         yield from self._require_readable(file)
@@ -283,7 +283,7 @@ class _Examination:
             return
         options, file = self._command.options, self._command.configuration
         secrets = [Path(options[name]) for name in ("key", "access") if options.get(name)]
-        if file is not None and file.is_file():
+        if file is not None and os.path.isfile(file):
             from uoarm.config import load  # noqa: PLC0415 - slow, and of one look
 
             try:
@@ -295,7 +295,7 @@ class _Examination:
                 for bridge in robot.bridges.values():
                     secrets += _secret_files(bridge.options, Path(bridge.folder))
         for secret in dict.fromkeys(secrets):
-            if not secret.is_file():
+            if not self._is_file(secret):
                 yield Level.ERROR, f"there is no file {secret}"
                 continue
             yield from self._require_readable(secret)
@@ -456,6 +456,14 @@ class _Examination:
         if not self._may(file, account, os.R_OK):
             yield Level.ERROR, f"{account.name} cannot read {file}: give it to its group, chmod 640"
 
+    def _is_file(self, path: Path) -> bool:
+        try:
+            return stat.S_ISREG(self._look(path).st_mode)
+        except PermissionError:  # it may be one; `os.path.isfile` would say that it is none
+            raise
+        except (OSError, ValueError):
+            return False
+
     def _may(self, path: Path, account: ServiceUser, right: int) -> bool:
         found = self._look(path)
         if account.uid == 0:
@@ -487,7 +495,8 @@ def options_of_serve(words: list[str]) -> Mapping[str, Any]:
     assert command is not None
     context = click.Context(command, parent=root, info_name="serve")
     given, _, _ = command.make_parser(context).parse_args(list(words))
-    return dict(given)
+    # A word that is not there is None, or an object of click's own.
+    return {name: value for name, value in given.items() if isinstance(value, str | list)}
 
 
 def _secret_files(options: Any, folder: Path, name: str = "") -> Iterator[Path]:
@@ -497,7 +506,7 @@ def _secret_files(options: Any, folder: Path, name: str = "") -> Iterator[Path]:
             yield from _secret_files(value, folder, str(key))
     elif isinstance(options, str) and _SECRET.search(name):
         path = folder / os.path.expanduser(options)  # noqa: PTH111 - `~` alone stays
-        if name.endswith("_file") or path.is_file():
+        if name.endswith("_file") or os.path.isfile(path):
             yield path
 
 

@@ -91,7 +91,7 @@ class Recording:
             raise UsageError("a recording is of one function at least")
         if len(set(map(str, functions))) < len(functions):
             raise UsageError("a function is named twice")
-        if not os.path.isdir(path.parent):  # noqa: PTH112 - that raises for names too long
+        if not os.path.isdir(path.parent):
             raise UsageError(f"{path} cannot be made: there is no folder {path.parent}")
         self._path, self._options, self._moment = path, options, clock
         self._robot, self._report, self._observe = robot, events.post, events.observe
