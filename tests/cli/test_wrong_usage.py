@@ -226,26 +226,27 @@ def test_a_lock_that_cannot_be_written_is_said_with_the_name_that_was_given(
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("words", "code", "said"),
     [
-        ["types", "--python", "-o"],
-        ["lock", "--lock"],
-        ["check", "--recording"],
-        ["new-bridge", "mine", "--into"],
-        ["doctor", "--service", "--unit"],
+        (["types", "--python", "-o"], 3, "long: cannot be written: .*File name too long"),
+        (["lock", "--lock"], 3, "long: cannot be written: .*File name too long"),
+        (["lock", "-f"], 3, "long: the file cannot be read: File name too long"),
+        (["check", "--recording"], 4, "there is no .*long$"),
+        (["new-bridge", "mine", "--into"], 1, "long/uoarm-mine.*File name too long"),
+        (["doctor", "--service", "--unit"], 1, "there is no unit file .*long$"),
     ],
-    ids=lambda words: words[-1],
+    ids=lambda value: "-".join(value) if isinstance(value, list) else "",
 )
 def test_a_name_that_no_file_can_have_is_an_error_and_no_crash(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], code: int, said: str
 ) -> None:
     if "--recording" in words:
-        pytest.importorskip("rosbags", reason="pip install -e '.[bags]'")
+        pytest.importorskip("rosbags.highlevel", reason="pip install -e '.[bags]'")
     monkeypatch.chdir(tmp_path)
     Path("robot.yaml").write_text("version: 1\nbridges: {}\nfunctions: {}\n")
-    done = CliRunner().invoke(main, [*words, f"./{'long' * 100}.yaml"])
-    assert done.exit_code == 1, done.output
-    assert re.search(r"^error: \S*long.*File name too long", done.stderr, re.MULTILINE)
+    done = CliRunner().invoke(main, [*words, f"./{'long' * 100}"])
+    assert done.exit_code == code, done.output
+    assert re.search(rf"^error: .*{said}", done.stderr, re.MULTILINE)
 
 
 def test_a_suggestion_that_cannot_be_written_is_said(

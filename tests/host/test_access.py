@@ -213,6 +213,8 @@ def test_a_key_that_others_may_read_is_not_used(folder: Path) -> None:
 
 
 def test_a_missing_certificate_is_named(folder: Path) -> None:
+    with pytest.raises(BridgeError, match=r"there is no .*long/ca\.pem"):
+        Identity.find(folder / ("long" * 100), "arm")
     with pytest.raises(BridgeError, match=r"there is no .*/tail\.pem"):
         Identity.find(folder, "tail")
 

@@ -89,7 +89,7 @@ def source(*, kind: str, when: str) -> Iterator[int]:
 
 
 async def async_source(*, kind: str, when: str) -> AsyncIterator[int]:
-    while not os.path.exists(when):  # noqa: ASYNC240, PTH110 - in a test's own loop
+    while not os.path.exists(when):  # noqa: ASYNC240 - in a test's own loop
         yield 1
         await asyncio.sleep(0.02)
     quit_with(kind)

@@ -417,6 +417,8 @@ def test_what_cannot_be_read_of_an_installation_costs_its_own_type_alone(
     gone.unlink()
     assert TypeStore([str(tmp_path)]).message("own_msgs/Own") is not None
     os.mkfifo(gone)
+    with pytest.raises(ConfigurationError, match=r"definitions: .*long is no folder"):
+        TypeStore([str(tmp_path / ("long" * 100))])
     with pytest.raises(ConfigurationError, match=f"{gone} cannot be read: no regular file"):
         TypeStore([str(tmp_path)])
 

@@ -193,8 +193,9 @@ def test_a_type_of_two_folders_costs_itself_and_a_folder_that_is_none_is_refused
     for name in ("p/msg/A", "p/msg/C"):
         with pytest.raises(BridgeError, match=r"it is in .*one.* and in .*other"):
             types.find(name)
-    with pytest.raises(ConfigurationError, match=r"none is no folder of ROS definitions"):
-        make_bridge(definitions=[str(tmp_path / "none")])
+    for name in ("none", "long" * 100):
+        with pytest.raises(ConfigurationError, match=rf"{name} is no folder of ROS definitions"):
+            make_bridge(definitions=[str(tmp_path / name)])
 
 
 def test_paths_begin_at_the_configuration() -> None:

@@ -71,9 +71,10 @@ def test_what_is_no_schema_is_refused_with_its_place(
         read_published(str(tmp_path), RELEASES["2.1"])
 
 
-def test_a_folder_without_schemas_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["", "long" * 100])
+def test_a_folder_without_schemas_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigurationError, match=r"has none of the files order.schema"):
-        read_published(str(tmp_path), RELEASES["2.1"])
+        read_published(str(tmp_path / name), RELEASES["2.1"])
 
 
 @NEEDS_THEM

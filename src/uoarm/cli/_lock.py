@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -211,7 +212,7 @@ def lock(
 
 def _against(before: Lock, other: Path, *, is_installed: bool = False) -> list[LockFinding]:
     """Compare with what stands in files; standard error says which types do not."""
-    if not other.is_dir():
+    if not os.path.isdir(other):
         return _compared(before, read_lock(other))
     schemas = read_schemas(other, before, is_installed=is_installed)
     missing = uncompared_types(before, schemas)
@@ -324,14 +325,14 @@ def _beside(file: str) -> Path:
     Raises:
         ConfigurationError: there is no such configuration.
     """
-    if not Path(file).exists():
+    if not os.path.exists(file):
         load(file)
     return lock_path(file)
 
 
 def _write_file(path: Path, text: str) -> None:
     """Write a file, but not over a configuration: nothing that is written here is YAML."""
-    if path.name.endswith(CONFIGURATION_ENDINGS) and path.exists():
+    if path.name.endswith(CONFIGURATION_ENDINGS) and os.path.exists(path):
         cause = "it may be a configuration, and is not written over: name another file"
         raise LockError(f"{path}: {cause}")
     try:

@@ -5,6 +5,7 @@ Recordings of ROS 1, and of rosbag2 in its other formats, are read with the pack
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
@@ -96,7 +97,7 @@ class BagReader:
         except ImportError as error:
             command = install_command("uoarm", "bags")
             raise PluginError(f"recordings of this kind need: {command} ({error})") from error
-        if not self.path.exists():
+        if not os.path.exists(self.path):
             raise BridgeError(f"there is no {self.path}", FailureReason.UNAVAILABLE)
         try:
             reader = AnyReader([self.path])

@@ -74,7 +74,7 @@ class TypeStore:
         self._texts: dict[str, dict[str, str]] = {"msg": {}, "srv": {}}
         for folder in folders:
             path = Path(folder)
-            if not path.is_dir():
+            if not os.path.isdir(path):
                 raise ConfigurationError(f"definitions: {folder} is no folder")
             files = [f for f in sorted(path.rglob("*")) if f.suffix in _SUFFIXES]
             self._take(path, [f for f in files if not f.is_dir()])

@@ -42,7 +42,7 @@ def packages_in(folder: Path) -> tuple[InterfacePackage, ...]:
     Raises:
         ConfigurationError: there are none, two of one name, too many files, or wrong names.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise ConfigurationError(f"{folder} is no folder")
     found: dict[Path, list[Path]] = {}
     for path in sorted(folder.resolve().rglob("*.*")):

@@ -6,6 +6,7 @@ Needs no middleware; for `.idl` files the extra `definitions`, which brings the 
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Mapping
 from ctypes import c_float
@@ -133,7 +134,7 @@ class DefinitionReader:
 
     def take(self, folder: Path) -> None:
         """Parse the files of a folder."""
-        if not folder.is_dir():
+        if not os.path.isdir(folder):
             raise ConfigurationError(f"{folder} is no folder of ROS definitions")
         files = [path for path in sorted(folder.rglob("*")) if path.suffix in {*_KINDS, ".idl"}]
         if len(files) > _MAX_FILES:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import threading
 from collections.abc import Callable, Mapping
 from datetime import datetime, timezone
@@ -170,7 +171,7 @@ def read_published(folder: str, release: VdaRelease) -> dict[str, Any]:
     for topic in TOPICS:
         for ending in ("schema", "json"):
             file = place / f"{topic}.{ending}"
-            if file.is_file():
+            if os.path.isfile(file):
                 found[topic] = _read(file, release)
                 break
     if not found:

@@ -82,7 +82,7 @@ class Identity:
         home = expanded(folder)
         found = cls(home / "ca.pem", home / f"{name}.pem", home / f"{name}.key")
         for file in (found.authority, found.certificate, found.key):
-            if not file.is_file():
+            if not os.path.isfile(file):
                 text = f"there is no {file}; make it: uoarm certificates --help"
                 raise BridgeError(text, FailureReason.NOT_FOUND)
         if os.name == "posix" and found.key.stat().st_mode & _OTHERS:
