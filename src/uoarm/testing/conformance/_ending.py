@@ -16,7 +16,14 @@ from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message
 from uoarm.testing._resources import ResourceSnapshot
 from uoarm.testing._waiting import Background, Collector, wait
-from uoarm.testing.conformance._world import World, example_of, line, rules, structure_of
+from uoarm.testing.conformance._world import (
+    World,
+    example_of,
+    line,
+    of_paths,
+    rules,
+    structure_of,
+)
 
 _CYCLES = 10
 _PROCESSES = 3  # of bridges that are each a process: what one of them leaves is seen, too
@@ -123,6 +130,7 @@ class EndingRules:
             # Before the sink is closed: what began may be an earlier message, come late.
             sending.result(world.patience)
 
+    @of_paths
     def test_a_bridge_closes_while_a_delivery_is_held_up(self, world: World, kind: str) -> None:
         bridge, pair, collector = world.bridge(), world.pair(kind), Collector()
         structure = structure_of(bridge, pair, incoming=False)
@@ -154,6 +162,7 @@ class EndingRules:
             bridge.watch(None)
         assert not faults, f"nothing was wrong, and this was reported: {faults}"
 
+    @of_paths
     def test_a_closed_bridge_refuses_everything(self, world: World, kind: str) -> None:
         bridge, pair = world.bridge(), world.pair(kind)
         structure = structure_of(bridge, pair, incoming=True)
@@ -221,6 +230,7 @@ class EndingRules:
             through.sink.close()
             through.collector.wait(_BACKLOG, world.patience)
 
+    @of_paths
     def test_bridges_live_side_by_side(self, world: World, kind: str) -> None:
         first, second = world.bridge(), world.bridge()
         try:

@@ -28,8 +28,9 @@ class BridgeConformance(
     Attributes:
         kinds: names of the pairs that the world has; tests of messages run for each.
         paths: those of `kinds` that the bridge carries in different ways: over another link, with
-            another buffer, by way of another process. What a break does whatever the message is,
-            is tested with each of these; the first of `kinds`, unless given.
+            another buffer, by way of another process. What a break does, or the close of the whole
+            bridge, whatever the message is, is tested with each of these; the first of `kinds`,
+            unless given.
         hosted: whether the bridge of the world's `spec` runs in a process of its own. A class
             that inherits the suite and sets it is the suite for the hosted bridge.
     """
