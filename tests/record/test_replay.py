@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import shutil
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -613,42 +614,68 @@ def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
 def test_a_bag_of_ros_2_whose_recorder_was_killed_says_what_helps(
     tmp_path: Path, name: str, lacks: str, advice: str
 ) -> None:
-    rosbags = pytest.importorskip("rosbags.rosbag2")
-    typesys = pytest.importorskip("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     bag = tmp_path / "bag"
-    with rosbags.Writer(bag, version=9, storage_plugin=rosbags.StoragePlugin[name]) as writer:
-        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
-        text = store.types["std_msgs/msg/String"](data="text")
-        writer.write(connection, 1000, store.serialize_cdr(text, "std_msgs/msg/String"))
+    write_texts(bag, [1000], name)
     open_recording(bag)
     if lacks:
         (bag / lacks).unlink()
     else:
         file = bag / "bag.mcap"
         file.write_bytes(file.read_bytes()[:-100])
-        assert played(file, "/text", 1) == [{"data": "text"}]
+        assert played(file, "/text", 1) == [{"data": "1000"}]
     with pytest.raises(BridgeError, match=re.escape(advice.format(bag=bag))):
         open_recording(bag)
 
 
+@pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP"])
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("nanoseconds_since_epoch", 10**30),
+        ("nanoseconds_since_epoch", -5),
+        ("nanoseconds_since_epoch", 2003),  # of the last file, as some recorders wrote it
+        ("nanoseconds", 2),  # how long one file is
+        ("message_count", 0),
+    ],
+)
+def test_what_a_folder_says_of_its_times_is_not_believed(
+    tmp_path: Path, plugin: str, key: str, said: int
+) -> None:
+    """Nor is the order in which it names its files."""
+    bag, ending = tmp_path / "part_0", {"SQLITE3": ".db3", "MCAP": ".mcap"}[plugin]
+    for part in (0, 1):
+        write_texts(tmp_path / f"part_{part}", [2000 + 3 * part + n for n in range(3)], plugin)
+    shutil.copy(tmp_path / "part_1" / f"part_1{ending}", bag)
+    metadata = bag / "metadata.yaml"
+    text = metadata.read_text()
+    names = f"  - part_1{ending}\n  - part_0{ending}\n"
+    text = re.sub(rf"( +)- part_0{ending}\n", names.replace("  -", r"\1-"), text, count=1)
+    assert text.count(f"part_1{ending}") == 1
+    metadata.write_text(re.sub(rf"({key}: )\d+", rf"\g<1>{said}", text))
+    recording = open_recording(bag)
+    assert (recording.start, recording.end) == (2000, 2005)
+    read = recording.messages("/text", recording.start, pytest.fail)
+    assert [message.time for message in read] == [*range(2000, 2006)]
+
+
 def test_a_bag_with_times_that_are_none_is_refused(tmp_path: Path) -> None:
-    """Its start stands in a file of text beside it."""
+    bag = tmp_path / "bag"
+    write_texts(bag, [1000], "SQLITE3")
+    with sqlite3.connect(bag / "bag.db3") as database:
+        database.execute("UPDATE messages SET timestamp = -5")
+    with pytest.raises(BridgeError, match=r"expected times in nanoseconds .*, got -5 to -5"):
+        open_recording(bag)
+
+
+def write_texts(bag: Path, times: list[int], plugin: str) -> None:
     rosbags = pytest.importorskip("rosbags.rosbag2")
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
-    bag = tmp_path / "bag"
-    with rosbags.Writer(bag, version=9) as writer:
+    with rosbags.Writer(bag, version=9, storage_plugin=rosbags.StoragePlugin[plugin]) as writer:
         connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
-        text = store.types["std_msgs/msg/String"](data="text")
-        writer.write(connection, 1000, store.serialize_cdr(text, "std_msgs/msg/String"))
-    metadata = bag / "metadata.yaml"
-    said = metadata.read_text()
-    for start in (10**30, -5):
-        changed = re.sub(r"(nanoseconds_since_epoch: )\d+", rf"\g<1>{start}", said)
-        metadata.write_text(changed)
-        with pytest.raises(BridgeError, match=f"expected times .*, got {start} to .*reindex"):
-            open_recording(bag)
+        for time in times:
+            text = store.types["std_msgs/msg/String"](data=str(time))
+            writer.write(connection, time, store.serialize_cdr(text, "std_msgs/msg/String"))
 
 
 def test_a_channel_that_a_cut_file_lost_names_the_cut(tmp_path: Path) -> None:

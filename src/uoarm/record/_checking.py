@@ -52,13 +52,16 @@ class BagReader:
         self._kinds: dict[str, tuple[object, ...]] = {}
         reader = self._open()
         try:
-            self.start = int(reader.start_time) if reader.message_count else 0
+            # A folder says of its times what recorders knew of them, as of its last file only.
+            parts = [file.metadata for file in _files(reader)] or [reader]
+            parts = [part for part in parts if part.message_count]
+            self.start = min((int(part.start_time) for part in parts), default=0)
             # Theirs is the time behind the last message.
-            self.end = int(reader.end_time) - 1 if reader.message_count else 0
+            self.end = max((int(part.end_time) - 1 for part in parts), default=0)
             if not 0 <= self.start < _LATEST or not 0 <= self.end < _LATEST:
                 raise BridgeError(
                     f"{path}: expected times in nanoseconds below 2**63, got {self.start} to "
-                    f"{self.end}; `ros2 bag reindex {path}` counts them anew",
+                    f"{self.end}",
                     FailureReason.UNSUPPORTED,
                 )
             is_two = bool(reader.is2)
@@ -102,6 +105,7 @@ class BagReader:
         try:
             reader = AnyReader([self.path])
             reader.open()
+            _files(reader).sort(key=lambda file: int(file.metadata.start_time))
         except Exception as error:
             text = (
                 f"{self.path} cannot be read: expected an MCAP file, a .bag of ROS 1 or a folder "
@@ -127,6 +131,13 @@ class BagReader:
         if not (self.path / "metadata.yaml").exists() and any(self.path.glob("*.db3")):
             return f"; `ros2 bag reindex {self.path}` mends a bag that was cut short"
         return ""
+
+
+def _files(reader: Any) -> list[Any]:
+    """Return the files of a folder of rosbag2, which are read in this order; a .bag has none."""
+    storage = getattr(reader.readers[0], "storage", None)
+    files: list[Any] = getattr(storage, "storages", [])
+    return files
 
 
 def _kind(connection: Any) -> tuple[object, ...]:
