@@ -170,6 +170,13 @@ VALUES: Any = st.recursive(
 )
 
 
+@pytest.mark.parametrize("value", ["a\r\nb", "\r", {"\r": "\n\t"}])
+def test_a_carriage_return_stays_one(value: Any) -> None:
+    assert decode_call(encode_call("setParam", ["/text", value]))[1][1] == value
+    theirs, _ = xmlrpc.client.loads(encode_call("setParam", ["/text", value]))
+    assert theirs == ("/text", value)
+
+
 @given(st.lists(VALUES, max_size=4))
 def test_calls_are_those_of_pythons_own_library(arguments: list[Any]) -> None:
     method, came = decode_call(encode_call("a.method", arguments))

@@ -99,7 +99,7 @@ def _encoded(value: Any) -> str:
             raise ValueError(f"{value} has no form in XML-RPC")
         inner = f"<double>{value!r}</double>"
     elif isinstance(value, str):
-        inner = f"<string>{escape(_writable(value))}</string>"
+        inner = f"<string>{_escaped(value)}</string>"
     elif isinstance(value, bytes | bytearray | memoryview):
         inner = f"<base64>{base64.b64encode(value).decode()}</base64>"
     elif isinstance(value, dict):
@@ -115,13 +115,13 @@ def _member(item: tuple[Any, Any]) -> str:
     name, value = item
     if not isinstance(name, str):
         raise ValueError(f"a member is named by {name!r}, and XML-RPC has texts for names")  # noqa: TRY004
-    return f"<member><name>{escape(_writable(name))}</name>{_encoded(value)}</member>"
+    return f"<member><name>{_escaped(name)}</name>{_encoded(value)}</member>"
 
 
-def _writable(text: str) -> str:
+def _escaped(text: str) -> str:
     if found := _UNWRITABLE.search(text):
         raise ValueError(f"{text[:60]!r} has the character {found[0]!r}, which XML has not")
-    return text
+    return escape(text, {"\r": "&#13;"})  # else it is read as a line feed
 
 
 @define
