@@ -345,8 +345,10 @@ def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(
         robot.record("counter", "camera", path=tmp_path / "run.mcap")
     with pytest.raises(UsageError, match="there is no folder"):
         robot.record("counter", path=tmp_path / "none" / "run.mcap")
-    with pytest.raises(UsageError, match="neither a size nor a time"):
+    with pytest.raises(UsageError, match=r"^split: 'often' is neither a size nor a time"):
         robot.record("counter", path=tmp_path / "run.mcap", split="often")
+    with pytest.raises(UsageError, match=r"^max_size: 'much' is no size"):
+        robot.record("counter", path=tmp_path / "run.mcap", max_size="much")
     with pytest.raises(UsageError, match="compression"):
         robot.record("counter", path=tmp_path / "run.mcap", compression="rar")
     with pytest.raises(UsageError, match="named twice"):

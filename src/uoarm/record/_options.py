@@ -111,8 +111,10 @@ class RecordOptions:
             if seconds is not None and not 0 < seconds <= _MOST_SECONDS:
                 text = f"{name} {seconds!r}: expected seconds, more than 0 and at most 1e9"
                 raise UsageError(text)
-        if ring is not None and split is not None:
-            raise UsageError(f"split: {_RING_SPLIT}")
+        options = {"max_size": max_size, "split": split, "ring": ring}
+        given = {name: value for name, value in options.items() if value is not None}
+        for mistake in cls.mistakes(given):
+            raise UsageError(": ".join(mistake))
         size, length = read_split(split)
         return cls(
             duration=duration,
