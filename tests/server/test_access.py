@@ -369,8 +369,15 @@ def test_mistakes_of_the_access_file_are_reported_with_their_place(
 ) -> None:
     path = tmp_path / "access.yaml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=said):
+    with pytest.raises(ConfigurationError, match=said) as caught:
         read_access(path)
+    assert caught.value.error_code in {"UOA-102", "UOA-106"}
+
+
+def test_an_access_file_that_is_not_there_has_the_code_of_that(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="the file cannot be read") as caught:
+        read_access(tmp_path / "access.yaml")
+    assert caught.value.error_code == "UOA-101"
 
 
 def test_the_limits_of_the_access_file_are_on_the_page() -> None:

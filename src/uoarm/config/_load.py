@@ -15,7 +15,14 @@ from attrs import evolve, frozen
 from uoarm._arguments import arguments
 from uoarm._spelling import Speller
 from uoarm._support.files import end_of_lines
-from uoarm._support.yaml import Document, Position, Problem, read, read_file
+from uoarm._support.yaml import (
+    Document,
+    Position,
+    Problem,
+    mistakes_error,
+    read,
+    read_file,
+)
 from uoarm.bridge import BridgeType
 from uoarm.config._build import build
 from uoarm.config._meaning import MeaningChecker
@@ -26,7 +33,6 @@ from uoarm.model import Robot
 
 Types: TypeAlias = Mapping[str, BridgeType]
 
-_SHOWN = 50
 _NOT_THERE = os.strerror(errno.ENOENT)
 _ABSENT = "`uoarm suggest > robot.yaml` writes one of what bridges see; FILE names another"
 _START = Position(1, 1)
@@ -57,12 +63,7 @@ class Report:
         """
         if self.robot is not None:
             return self.robot
-        lines = [str(problem) for problem in self.problems[:_SHOWN]]
-        if len(self.problems) > _SHOWN:
-            lines.append(f"... and {len(self.problems) - _SHOWN:,} more")
-        codes = {problem.error_code for problem in self.problems}
-        error_code = codes.pop() if len(codes) == 1 else ""
-        raise ConfigurationError("\n".join(lines), error_code=error_code)
+        raise mistakes_error(self.problems)
 
 
 @arguments(path="uoarm.config.loads(text) reads a text")

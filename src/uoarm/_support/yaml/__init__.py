@@ -9,6 +9,7 @@ from uoarm._support.yaml._document import (
     Position,
     Problem,
     clip,
+    mistakes_error,
     write_flow,
     write_path,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "Problem",
     "ReadBudget",
     "clip",
+    "mistakes_error",
     "read",
     "read_file",
     "write_flow",

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 from attrs import define, field, frozen
 
 from uoarm._encodable import encodable, shown
+from uoarm.errors import ConfigurationError
 
 _SHOWN = 60
+_LISTED = 50
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -49,6 +51,15 @@ class Problem:
         where = f":{self.place.line}:{self.place.column}: {self.path}" if self.path else ""
         hint = f" ({self.hint})" if self.hint else ""
         return f"{self.file or '<text>'}{where}: {self.sentence}{hint}"
+
+
+def mistakes_error(problems: Sequence[Problem]) -> ConfigurationError:
+    """Return the error of mistakes: it lists the first 50, counts the rest, and has their code."""
+    lines = [str(problem) for problem in problems[:_LISTED]]
+    if len(problems) > _LISTED:
+        lines.append(f"... and {len(problems) - _LISTED:,} more")
+    codes = {problem.error_code for problem in problems}
+    return ConfigurationError("\n".join(lines), error_code=codes.pop() if len(codes) == 1 else "")
 
 
 def clip(value: object) -> str:

@@ -8,12 +8,19 @@ from datetime import datetime
 from pathlib import Path as File
 from typing import Any
 
-from uoarm._support.yaml import Document, Path, Problem, ReadBudget, clip, read_file, write_path
-from uoarm.errors import ConfigurationError
+from uoarm._support.yaml import (
+    Document,
+    Path,
+    Problem,
+    ReadBudget,
+    clip,
+    mistakes_error,
+    read_file,
+    write_path,
+)
 from uoarm.server.access._role import OF_NO_FUNCTION, AccessPolicy, AccessRole, Grant, Operation
 
 BUDGET = ReadBudget(octets=1_048_576, nodes=100_000, depth=16)
-_SHOWN = 50
 _ALL = "all"
 _SUPERVISED = "supervised"
 _NOT_SUPERVISED = (
@@ -41,10 +48,7 @@ def read_access(path: File) -> AccessPolicy:
     book = reader.book() if document.whole else AccessPolicy({})
     problems = sorted([*document.problems, *reader.problems], key=lambda item: item.place)
     if problems:
-        lines = [str(problem) for problem in problems[:_SHOWN]]
-        if len(problems) > _SHOWN:
-            lines.append(f"... and {len(problems) - _SHOWN:,} more")
-        raise ConfigurationError("\n".join(lines))
+        raise mistakes_error(problems)
     return book
 
 
