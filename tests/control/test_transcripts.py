@@ -132,6 +132,7 @@ class Player(World):
             component,
             part,
             frozenset(map(int, spared)),
+            is_avoided=part == "messages" and health == "lost",
             function=f"served by {subject}" if part == "messages" else "",
         )
         self.post(event)

@@ -8,13 +8,14 @@ import pytest
 from endpoints import INT64, Start, endpoint, known, sink, source
 from messages import default_of
 from peers import MORTAL
+from robots import HOSTED, robot
 from tests.inbox import Inbox  # type: ignore[import-not-found]
 from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
-from uoarm.testing import wait
+from uoarm.testing import Collector, patience, wait
 
 OTHER = "RIHS01_000102030405"
 BASIC = "test_msgs/srv/BasicTypes"
@@ -118,3 +119,33 @@ def test_another_service_under_the_name_is_an_event_and_so_is_its_end(
     stranger.end()
     well = events.event(Health.OK, "every server of it has our definition")
     assert well.component == "thing", "without another call"
+
+
+@pytest.mark.parametrize("host", ["", HOSTED], ids=["here", "hosted"])
+def test_another_service_under_the_name_is_shown_to_the_user_until_its_end(
+    peer: Start, host: str
+) -> None:
+    server, stranger = peer("server"), peer("stranger")
+    server.do("serve", name="/mixed")
+    native: Any = import_type(BASIC)
+    request = default_of(native.Request)
+    part = f"{{name: thing, bridge: ros, service: {{endpoint: [/mixed, {BASIC}]}}}}"
+    with robot(f"  flip: {{components: [{part}]}}", host=host) as manager:
+        events = Collector()
+        manager.listen(events.deliver)
+        manager.call("flip", request, timeout=patience())
+        assert manager.status().components == ()
+        stranger.do("serve_flag", name="/mixed")
+
+        def shown() -> bool:
+            manager.call("flip", request, timeout=patience())
+            return "/stranger has std_srvs/srv/SetBool" in str(manager.status())
+
+        wait(shown)
+        [thing] = manager.status().components
+        assert (thing.name, thing.function, thing.health) == ("thing", "flip", Health.DEGRADED)
+        stranger.end()
+        wait(lambda: manager.status().components == ())  # without another call
+        events.wait_for(lambda item: (item.subject, item.change) == ("component thing", "ok"))
+        changes = [item.change for item in events.messages if item.function == "flip"]
+        assert changes == ["degraded", "ok"]

@@ -15,6 +15,7 @@ from uoarm._control.candidates import CandidateWatch
 from uoarm._control.connection import Connection
 from uoarm._control.engine.events import Requested
 from uoarm._control.engine.move import recently
+from uoarm._control.engine.placement import MESSAGES, ComponentHealth
 from uoarm._control.engine.step import output_of
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.driver import Driver
@@ -168,17 +169,18 @@ class Services:
     """Calls services and watches those that have raised. Thread safe.
 
     Args:
+        revisions: for the services that the configuration has.
         bridges: that run, and those that are yet to be started.
         driver: takes the verdict on one where it changes.
     """
 
+    _revisions: Revisions
     _bridges: BridgeSet
     _driver: Driver
     _clock: Clock
     # Guards the order of watches: the newest are kept, and two threads may begin one each.
     _lock: threading.Lock = field(factory=threading.Lock, init=False)
     _watches: dict[str, tuple[Component, FailureWatch]] = field(factory=dict, init=False)
-    _gone: set[str] = field(factory=set, init=False)
 
     def call(
         self,
@@ -221,6 +223,7 @@ class Services:
         endpoint = component.service.endpoint
         if endpoint.command is not None and endpoint.command.lifetime is not None:
             timeout = min(timeout, endpoint.command.lifetime)
+        before = self._driver.state.services.get(component.name)
         try:
             with self._driver.live.emergency_stop.calling(bridge, endpoint, name) as number:
                 if began is not None:
@@ -231,48 +234,47 @@ class Services:
         except Exception as error:
             self._failed(component, error)
             raise
-        self._answered(component)
+        self._answered(component, before)
         return reply if wanted is None else wanted.read(reply)
 
     def statuses(self) -> tuple[ComponentStatus, ...]:
-        """Return what the status map shows of services that have raised."""
-        return tuple(
-            ComponentStatus(
-                name=component.name,
-                function=component.function,
-                bridge=component.bridge,
-                health=watch.health,
-                users=(),
-                cause=watch.cause,
-                failed=watch.failed,
-                last_error=watch.last_error,
-            )
-            for component, watch in tuple(self._watches.values())
-        )
+        """Return what the status map shows of services that are not well, or have raised."""
+        revision, services = self._revisions.current, self._driver.state.services
+        names = dict.fromkeys((*self._watches.copy(), *sorted(services)))
+        there = [found for found in map(revision.service, names) if found is not None]
+        rows = [(found, services.get(found.name), self._watch_of(found)) for found in there]
+        return tuple(_status(*row) for row in rows if row[1:] != (None, None))
 
-    def _answered(self, component: Component) -> None:
-        if component.name in self._gone:
-            self._gone.discard(component.name)
-            self._driver.judge(component, Health.OK, "it is there again")
+    def _watch_of(self, component: Component) -> FailureWatch | None:
+        """Return what has raised; None: nothing, or another service that had the name before."""
         found = self._watches.get(component.name)
-        if found is None:
+        return found[1] if found is not None and found[0].service == component.service else None
+
+    def _answered(self, component: Component, before: ComponentHealth | None) -> None:
+        # Not what was reported since the call began: what answered may have gone since.
+        if before is not None and before is self._driver.state.services.get(component.name):
+            for part, (health, _) in before.reported.items():
+                if health is not Health.DEGRADED:
+                    self._driver.judge(component, Health.OK, "it answers again", part)
+        watch = self._watch_of(component)
+        if watch is None:
             return
-        if found[1].health is Health.LOST:
+        if watch.health is Health.LOST:
             self._begin(component)
-            self._driver.judge(component, Health.OK, "it answers again")
-        elif found[1].is_alert:
-            found[1].took()
+        elif watch.is_alert:
+            watch.took()
 
     def _failed(self, component: Component, error: BaseException) -> None:
         if isinstance(error, BridgeError) and error.reason is FailureReason.NOT_FOUND:
             # Nothing of a service is open, so that a bridge may not notice that it went.
-            if component.name not in self._gone or not self._is_avoided(component):
-                self._gone.add(component.name)
-                self._driver.judge(component, Health.LOST, str(error))
+            known = self._driver.state.services.get(component.name)
+            is_lost = known is not None and known.health is Health.LOST
+            if not is_lost or not self._is_avoided(component):
+                self._driver.judge(component, Health.LOST, str(error), "component")
             return
         if not is_raised(error):
             return
-        _, watch = self._watches.get(component.name, (component, None))
+        watch = self._watch_of(component)
         if watch is None or (watch.health is Health.LOST and not self._is_avoided(component)):
             watch = self._begin(component)
         # Where the service ran in this process, what it raised itself is the cause.
@@ -288,14 +290,32 @@ class Services:
             component.name,
             self._driver.state.policy.failing,
             self._clock,
-            partial(self._driver.judge, component),
+            partial(self._driver.judge, component, part=MESSAGES),
         )
         with self._lock:
-            before = self._watches.get(component.name)
+            before = self._watch_of(component)
             if before is not None:
-                watch.failed, watch.last_error = before[1].failed, before[1].last_error
+                watch.failed, watch.last_error = before.failed, before.last_error
             keep_newest(self._watches, component.name, (component, watch))
         return watch
+
+
+def _status(
+    component: Component, reported: ComponentHealth | None, watch: FailureWatch | None
+) -> ComponentStatus:
+    health = reported or ComponentHealth()
+    if watch is not None:
+        health = health.noted(MESSAGES, watch.health, watch.cause)
+    return ComponentStatus(
+        name=component.name,
+        function=component.function,
+        bridge=component.bridge,
+        health=health.health,
+        users=(),
+        cause=health.cause,
+        failed=0 if watch is None else watch.failed,
+        last_error="" if watch is None else watch.last_error,
+    )
 
 
 def _answer(

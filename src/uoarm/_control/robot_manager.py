@@ -126,7 +126,7 @@ class RobotManager(RobotView):
         self._requests = Requests(
             self._revisions, self._driver, self._candidates, self._events, clock
         )
-        self._services = Services(self._bridges, self._driver, clock)
+        self._services = Services(self._revisions, self._bridges, self._driver, clock)
         self._staleness = StalenessWatch(
             self._driver.live.shared,
             self._driver.live.feeding,

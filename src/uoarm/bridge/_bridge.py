@@ -462,12 +462,13 @@ class Bridge(BridgeSteps):
           connection, or ends the connection. It opens new channels when the component can be
           described again. When the whole bridge is lost, closes it; the next request makes
           a new instance.
-        - FINISHED: lets what is under way arrive, drains, then ends the connections. For an
-          orderly end.
+        - FINISHED: lets what is under way arrive, drains, then ends connections. An orderly end.
 
-        A bridge that reconnects must report DEGRADED at once, and then OK when messages pass
-        again, or LOST when it gives up. It must not report a lost channel as OK: that is closed.
-        Where the last message of a source could not be read, the core adds why to what ails it.
+        A service, of which nothing is open, is shown as reported until OK, or until one that was
+        lost or finished answers: the next call describes it anew. A bridge that reconnects must
+        report DEGRADED at once, and then OK when messages pass again, or LOST when it gives up. It
+        must not report a lost channel as OK: that is closed. Where the last message of a source
+        could not be read, the core adds why to what ails it.
         """
         refusal = channel.refusal if isinstance(channel, Source) else ""
         health = Health(health)

@@ -300,7 +300,7 @@ class ChannelStatus:
 class ComponentStatus:
     """One open component, the connections that use it, and its open channels.
 
-    Services are there that have raised: nothing of them is open.
+    Services are there that have raised or are not well: nothing of them is open.
 
     Attributes:
         failed: how many messages or calls it raised on.

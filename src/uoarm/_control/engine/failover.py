@@ -15,7 +15,13 @@ from uoarm._control.engine.leaving import (
     finish_if_asked,
 )
 from uoarm._control.engine.move import Move, MovePhase, MoveReason, forget_earlier
-from uoarm._control.engine.placement import ComponentRecord, LinkEnd, Placement
+from uoarm._control.engine.placement import (
+    MESSAGES,
+    ComponentHealth,
+    ComponentRecord,
+    LinkEnd,
+    Placement,
+)
 from uoarm._control.engine.state import ConnectionRecord, oldest_first
 from uoarm._support.ordered import OrderedMap
 from uoarm.errors import ConnectionClosedError
@@ -43,7 +49,7 @@ def health_reported(draft: Draft, event: ev.HealthReported) -> None:
     lost: list[int] = []
     for name in concerned:
         number = draft.serving.get(name)
-        if number is None and event.part == "messages":
+        if number is None and event.function:
             _judge_service(draft, name, event)
         # Spared are those that the next bridge of this name has opened already: the death of the
         # one before was reported late.
@@ -64,6 +70,7 @@ def health_reported(draft: Draft, event: ev.HealthReported) -> None:
     # After the edges were stopped, as its closing may bring last messages.
     if is_lost and event.component is None:
         draft.do(act.RetireBridge(event.bridge))
+        _forget_reports(draft, concerned)
     if event.health is Health.OK and not all(name in draft.serving for name in concerned):
         look_soon(draft)  # what is not open may be a candidate again
 
@@ -85,13 +92,33 @@ def _concerned(draft: Draft, event: ev.HealthReported) -> list[str]:
 
 
 def _judge_service(draft: Draft, name: str, event: ev.HealthReported) -> None:
-    """Note that a service, of which nothing is open, raises or answers again."""
-    subject = f"component {name}"
-    draft.do(act.Announce(subject, event.health.value, event.cause, event.function))
-    if event.health is Health.LOST:
+    """Note the health of a service, of which nothing is open: the next call finds its provider."""
+    before = draft.services.get(name, ComponentHealth())
+    health = before.noted(event.part, event.health, event.cause)
+    if health.is_news(before, event.health, event.cause):
+        subject = f"component {name}"
+        draft.do(act.Announce(subject, health.health.value, health.cause, event.function))
+    _keep_service(draft, name, health)
+    if event.is_avoided:
         draft.avoided = forget_earlier(draft.avoided, draft.now).insert_last(name, draft.now)
-    elif event.health is Health.OK:
+    elif event.health is Health.OK and health.health is not Health.LOST:
         draft.avoided = draft.avoided.discard(name)
+
+
+def _forget_reports(draft: Draft, names: Iterable[str]) -> None:
+    """Forget what a bridge that is gone reported of services, but not what they raised."""
+    for name in names:
+        before = draft.services.get(name)
+        if before is not None:
+            raises = before.reported.get(MESSAGES, (Health.OK, ""))
+            _keep_service(draft, name, ComponentHealth().noted(MESSAGES, *raises))
+
+
+def _keep_service(draft: Draft, name: str, health: ComponentHealth) -> None:
+    """Keep the health of a service that is not well, and of no other."""
+    is_well = health.health is Health.OK
+    services = draft.services
+    draft.services = services.discard(name) if is_well else services.insert(name, health)
 
 
 def _is_of_ended_link(draft: Draft, component: int, event: ev.HealthReported) -> bool:

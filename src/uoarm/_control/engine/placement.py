@@ -22,6 +22,10 @@ NONE: HashTrieSet[Any] = HashTrieSet()
 _BETTER_TO_WORSE = tuple(Health)
 
 
+MESSAGES = "messages"
+"""What a component raises, as a part of it of which the health is reported."""
+
+
 class LinkEnd(NamedTuple):
     """One end of a native link, as a part of its component of which the health is reported.
 

@@ -13,6 +13,7 @@ from uoarm._control.engine.placement import (
     NONE,
     NOTHING,
     Batch,
+    ComponentHealth,
     ComponentRecord,
     DrainingPlan,
     EdgeRecord,
@@ -232,6 +233,7 @@ class State:
         troubled: why a whole bridge is degraded, by its name.
         parts: with the batch that opens each; where that is over, the part is open.
         serving: the instance of each component that new users share.
+        services: how components are that are called and not well, by name: nothing of them is open.
         feeding: the edge that feeds each input.
         beside: the edge that will, after a switchover.
         batches: what is being opened, by number.
@@ -265,6 +267,7 @@ class State:
     parts: HashTrieMap[Part, int] = NOTHING
     # One instance a name. One that died or was superseded leaves at once, though its users stay.
     serving: HashTrieMap[str, int] = NOTHING
+    services: HashTrieMap[str, ComponentHealth] = NOTHING
     # One edge an input, from a producer that lives to the instance that serves.
     feeding: HashTrieMap[tuple[str, str], int] = NOTHING
     beside: HashTrieMap[tuple[str, str], int] = NOTHING

@@ -281,6 +281,7 @@ def configured(draft: Draft, event: ev.Configured) -> None:
     for name in event.superseded:
         draft.failed = draft.failed.discard(name)
         draft.avoided = draft.avoided.discard(name)
+        draft.services = draft.services.discard(name)
     # Before the searches that follow, which are to be made in this revision.
     report = act.Announce("configuration", f"revision {event.revision}")
     draft.actions += [act.Adopt(event.revision), report]
@@ -303,6 +304,8 @@ def candidates_changed(draft: Draft, event: ev.CandidatesChanged) -> None:
     draft.candidates = event.number
     # Of searches that began longer ago than these, every result counts as outdated.
     draft.replaced = (*draft.replaced, event.superseded)[-_KNOWN_CHANGES:]
+    for name in event.superseded:
+        draft.services = draft.services.discard(name)
     seek_outdated(draft)
     look_soon(draft)
     draft.do(act.Announce("candidates", "changed", event.summary))

@@ -17,13 +17,14 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
 
 from uoarm._bridges import BridgeSet
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
+from uoarm._control.engine.placement import MESSAGES
 from uoarm._control.engine.state import ConnectionRecord, State
 from uoarm._control.engine.step import step
 from uoarm._control.live.connection_runtime import ConnectionRuntime, StartDelivery, record_takeover
@@ -277,6 +278,8 @@ class Driver:
         if event.channel is not None and event.channel.closed:
             return
         component, part = subject_of(event)
+        service = None if component is None else self._revisions.current.service(component)
+        function = "" if service is None else service.function
         # By now another bridge may have the name: what it has opened is not what died.
         spared = frozenset[int]()
         if event.health is Health.LOST and component is None:
@@ -284,21 +287,20 @@ class Driver:
             spared = frozenset(
                 n for n, value in live.items() if self._bridges.is_in_use(value.bridge)
             )
-        self.post(
-            ev.HealthReported(
-                event.bridge, event.health, event.cause, component, part, spared, is_avoided
-            )
-        )
+        what = event.bridge, event.health, event.cause, component, part
+        self.post(ev.HealthReported(*what, spared, is_avoided, function))
 
-    def judge(self, component: Component, health: Health, cause: str, *, instance: int = 0) -> None:
-        """Take a new verdict on what a service raises, or an instance of a component."""
+    def judge(
+        self, component: Component, health: Health, cause: str, part: Hashable, instance: int = 0
+    ) -> None:
+        """Take a new verdict on a part of a service, or of an instance of a component."""
         self.post(
             ev.HealthReported(
                 component.bridge,
                 health,
                 cause,
                 component.name,
-                "messages",
+                part,
                 is_avoided=health is Health.LOST,
                 function="" if instance else component.function,
                 instance=instance,
@@ -321,7 +323,7 @@ class Driver:
         record = state.components.get(number)
         if record is None or state.serving.get(record.name) != number:
             return
-        self.judge(record.step.component, health, cause, instance=number)
+        self.judge(record.step.component, health, cause, MESSAGES, number)
 
     def _handle(self, event: ev.Event) -> None:
         # Before the step: an event at which it fails is the one that a test must play again

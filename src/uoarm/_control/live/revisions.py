@@ -100,9 +100,15 @@ class Revision:
     def named(self, name: str) -> Component | Offer | None:
         """Return the component or the offer of a name; None where there is none."""
         if not self._named:
-            self._named.update((item.name, item) for item in self.robot.components())
-            self._named.update((item.name, item) for item in self.robot.offers)
+            components = {item.name: item for item in self.robot.components()}
+            offers = {item.name: item for item in self.robot.offers}
+            self._named.update({**components, **offers})  # whole: others may look meanwhile
         return self._named.get(name)
+
+    def service(self, name: str) -> Component | None:
+        """Return the component of a name that is called; None where it is none."""
+        found = self.named(name)
+        return found if isinstance(found, Component) and found.service is not None else None
 
     def resolve(
         self,
