@@ -46,21 +46,22 @@ def deep_stack() -> Iterator[None]:
         sys.setrecursionlimit(limit)
 
 
-@pytest.mark.parametrize("pair", [*PAIRS, *HOSTILE])
-def test_the_table_is_true(pair: Hard) -> None:
+def hold_true(pair: Hard) -> None:
+    """Hold that the table says the truth of a pair, as far as a validator finds out."""
     takes, wants = Reference(pair.producer), Reference(pair.consumer)
     with deep_stack():
         if not pair.contained:
             assert takes.accepts(pair.witness)
             assert not wants.accepts(pair.witness)
             return
-        for seed in range(6):
+        for seed in range(2):  # the checker, which looks by other means, is to say the same
             value, found = find_instance(pair.producer, RandomChoices(seed), takes.accepts)
             assert not found or wants.accepts(value), value
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_the_checker_decides_and_its_counterexample_is_one(pair: Hard) -> None:
+def test_the_checker_decides_as_the_table_says_and_its_counterexample_is_one(pair: Hard) -> None:
+    hold_true(pair)
     verdict = check(pair.producer, pair.consumer, budget=PATIENT)
     assert answer(verdict) == ("yes" if pair.contained else "no"), verdict.undecided
     if not pair.contained:
@@ -70,5 +71,6 @@ def test_the_checker_decides_and_its_counterexample_is_one(pair: Hard) -> None:
 
 @pytest.mark.parametrize("pair", HOSTILE)
 def test_hostile_input_ends_without_a_wrong_answer(pair: Hard) -> None:
+    hold_true(pair)
     verdict = check(pair.producer, pair.consumer, budget=FEW_STEPS)
     assert answer(verdict) in {"yes", "undecided"}
