@@ -122,6 +122,10 @@ def number(request: pytest.FixtureRequest) -> Iterator[signal.Signals]:
     signal.signal(signal.SIGTERM, former)
 
 
+# What is raised is the only difference: requests, and the last close, are interrupted by both.
+BY_SIGTERM = pytest.mark.parametrize("number", [signal.SIGTERM], indirect=True, ids=["sigterm"])
+
+
 @pytest.fixture
 def one() -> Quick:
     bridge = Quick("one")
@@ -175,6 +179,7 @@ def test_a_request_that_is_interrupted_anywhere_leaves_nothing(
     assert at > 300, "the whole of a request was interrupted"
 
 
+@BY_SIGTERM
 def test_a_request_that_fails_and_is_interrupted_anywhere_leaves_nothing(
     robot: RobotManager, one: Quick, number: signal.Signals
 ) -> None:
@@ -195,6 +200,7 @@ def test_a_request_that_fails_and_is_interrupted_anywhere_leaves_nothing(
     assert at > 300, "the whole of a request was interrupted"
 
 
+@BY_SIGTERM
 def test_a_request_that_is_given_up_and_interrupted_anywhere_leaves_nothing(
     robot: RobotManager, one: Quick, number: signal.Signals
 ) -> None:
@@ -214,6 +220,7 @@ def test_a_request_that_is_given_up_and_interrupted_anywhere_leaves_nothing(
     assert at > 100, "the whole of a request was interrupted"
 
 
+@BY_SIGTERM
 def test_a_death_reported_in_the_main_thread_and_interrupted_can_be_reported_again(
     robot: RobotManager, number: signal.Signals
 ) -> None:
@@ -230,6 +237,7 @@ def test_a_death_reported_in_the_main_thread_and_interrupted_can_be_reported_aga
     assert at > 50, "the whole of a death was interrupted"
 
 
+@BY_SIGTERM
 def test_a_kill_that_is_interrupted_anywhere_can_be_done_again(
     robot: RobotManager, number: signal.Signals
 ) -> None:
@@ -245,6 +253,7 @@ def test_a_kill_that_is_interrupted_anywhere_can_be_done_again(
     assert at > 50, "the whole of a kill was interrupted"
 
 
+@BY_SIGTERM
 def test_an_offer_that_is_interrupted_anywhere_can_be_made_again(number: signal.Signals) -> None:
     at, has_come = 0, True
     while has_come:
@@ -283,6 +292,7 @@ def test_a_close_that_is_interrupted_anywhere_closes_all(number: signal.Signals)
     assert at > 50, "the whole of a close was interrupted"
 
 
+@BY_SIGTERM
 def test_a_change_that_is_interrupted_anywhere_can_be_made_again(
     robot: RobotManager, number: signal.Signals
 ) -> None:
