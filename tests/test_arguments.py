@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.sweeps import for_all
 
 import uoarm
 from uoarm import (
@@ -69,12 +70,9 @@ def finished(done: object) -> None:
         asyncio.run(done)
 
 
-@pytest.mark.parametrize(
-    ("function", "parameter"),
-    sorted(parameters(), key=str),
-    ids=lambda item: getattr(item, "__qualname__", item),
-)
-def test_every_public_argument_is_looked_at(function: Callable[..., Any], parameter: str) -> None:
+@for_all("taken", sorted(parameters(), key=str))
+def test_every_public_argument_is_looked_at(taken: tuple[Callable[..., Any], str]) -> None:
+    function, parameter = taken
     first = next(iter(inspect.signature(function).parameters))
     others = {} if first not in {"self", "cls"} else {first: None}
     with pytest.raises(UsageError) as caught:

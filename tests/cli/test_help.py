@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import click
-import pytest
 from click.testing import CliRunner
 from tests.cli.commands import members
+from tests.sweeps import for_all
 
 from uoarm.cli import main
 from uoarm.cli._main import COMMANDS
@@ -30,7 +30,7 @@ ALL = list(contexts(main))
 GROUPS = [item for item in ALL if isinstance(item.command, click.Group)]
 
 
-@pytest.mark.parametrize("context", GROUPS, ids=lambda item: str(item.command_path))
+@for_all("context", GROUPS, lambda context: context.command_path)
 def test_the_list_of_commands_cuts_no_sentence(context: click.Context) -> None:
     group = context.command
     assert isinstance(group, click.Group)
@@ -40,7 +40,7 @@ def test_the_list_of_commands_cuts_no_sentence(context: click.Context) -> None:
     assert {name: text for name, text in shown.items() if not text or text.endswith("...")} == {}
 
 
-@pytest.mark.parametrize("context", ALL, ids=lambda item: str(item.command_path))
+@for_all("context", ALL, lambda context: context.command_path)
 def test_every_option_says_what_it_is_for(context: click.Context) -> None:
     options = [
         parameter for parameter in context.command.params if isinstance(parameter, click.Option)
@@ -48,7 +48,7 @@ def test_every_option_says_what_it_is_for(context: click.Context) -> None:
     assert [option.opts for option in options if not option.help] == []
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@for_all("name", COMMANDS)
 def test_the_list_says_of_a_command_what_its_own_help_says(name: str) -> None:
     command = main.get_command(click.Context(main), name)
     assert command is not None

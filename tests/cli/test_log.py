@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.cli.commands import members
 from tests.processes import run_python
+from tests.sweeps import for_all
 
 from uoarm._encodable import printable
 from uoarm._log_lines import HostFormatter, JsonFormatter, TextFormatter, read_host_line
@@ -71,7 +72,7 @@ def records(stderr: str) -> list[tuple[str, str]]:
     return [found.groups() for found in map(RECORD.match, stderr.splitlines()) if found]  # type: ignore[misc]
 
 
-@pytest.mark.parametrize("command", [main, *everything(main)], ids=lambda item: str(item.name))
+@for_all("command", [main, *everything(main)], lambda command: command.name)
 def test_every_command_has_the_options(command: click.Command) -> None:
     options = {name for parameter in command.params for name in parameter.opts}
     assert {"--log-level", "--log-format"} <= options

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from attrs import astuple
+from tests.sweeps import for_all
 
 from uoarm._support.yaml import ReadBudget
 from uoarm.config import loads, published_schema
@@ -30,7 +31,7 @@ def keys() -> set[str]:
     return {key for part in parts for key in part.get("properties", {})}
 
 
-@pytest.mark.parametrize("key", sorted(keys()))
+@for_all("key", sorted(keys()))
 def test_every_key_is_on_the_page(key: str) -> None:
     assert re.search(rf"`{key}`|[{{ ]{key}:", PAGE)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pytest
 from attrs import fields
+from tests.sweeps import for_all
 
 from uoarm.server import Limits
 
@@ -33,7 +33,7 @@ def on_the_page() -> set[str]:
     return {bound.strip() for row in rows[1:] for bound in re.split(r"; | and ", row)}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@for_all("name", NAMES)
 def test_a_bound_is_on_the_page(name: str) -> None:
     assert shown(name, DEFAULTS[name]) in on_the_page()
 

@@ -23,6 +23,7 @@ import pytest
 import yaml
 from attrs import frozen
 from tests.processes import run_python
+from tests.sweeps import for_all
 
 from uoarm import AsyncRobotManager, Connection, RobotManager
 from uoarm.bridge import BridgeOptions, options_table
@@ -88,7 +89,7 @@ def test_the_pages_were_found() -> None:
     assert len(COMMANDS) > 5
 
 
-@pytest.mark.parametrize("page", LINKING, ids=lambda page: str(page.relative_to(ROOT)))
+@for_all("page", LINKING)
 def test_links_lead_somewhere(page: Path) -> None:
     gone = []
     for target, anchor in links(page.read_text(encoding="utf-8")):
@@ -127,7 +128,7 @@ def anchors(page: Path) -> set[str]:
     return names
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@for_all("page", PAGES)
 def test_no_line_stands_twice_on_a_page(page: Path) -> None:
     lines = _without_code(page.read_text("utf-8")).splitlines()
     times = Counter(line for line in lines if len(line) > 25 and not line.startswith("|"))
@@ -216,7 +217,7 @@ def test_pages_show_errors_as_they_are_printed() -> None:
     assert sum("uoarm explain UOA-" in block.text for block in SESSIONS) > 1
 
 
-@pytest.mark.parametrize("block", [item for item in EVERY if item.language == "python"], ids=str)
+@for_all("block", [item for item in EVERY if item.language == "python"])
 def test_programs_are_python(block: Block) -> None:
     compile(block.text, str(block), "exec")
 
@@ -289,8 +290,9 @@ def takes(method: Any, call: ast.Call) -> bool:
     return True
 
 
-@pytest.mark.parametrize(("block", "line"), COMMANDS, ids=lambda item: str(item)[:60])
-def test_commands_and_their_options_exist(block: Block, line: str) -> None:
+@for_all("shown", COMMANDS)
+def test_commands_and_their_options_exist(shown: tuple[Block, str]) -> None:
+    block, line = shown
     words = shlex.split(line, comments=True)[1:]
     command: click.Command = main
     context = click.Context(main)
@@ -332,13 +334,13 @@ def test_every_command_and_option_is_on_a_page() -> None:
     assert every - shown - for_maintainers == set()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@for_all("page", PAGES)
 def test_commands_within_sentences_exist(page: Path) -> None:
     named = re.findall(r"`uoarm ([a-z][a-z0-9-]*)", _without_code(page.read_text("utf-8")))
     assert set(named) <= {*main.list_commands(click.Context(main)), *OF_PLUGINS}
 
 
-@pytest.mark.parametrize("page", INSTALLING, ids=lambda page: str(page.relative_to(ROOT)))
+@for_all("page", INSTALLING)
 def test_what_a_page_installs_of_ours_comes_from_the_checkout(page: Path) -> None:
     """Nothing of ours is on an index yet, so that its names there are free or a stranger's."""
     for line in page.read_text(encoding="utf-8").splitlines():
@@ -352,9 +354,7 @@ def test_what_a_page_installs_of_ours_comes_from_the_checkout(page: Path) -> Non
         assert not [word for word in wanted if word.startswith("uoarm")], line
 
 
-@pytest.mark.parametrize(
-    "page", [*INSTALLING, ROOT / "Makefile"], ids=lambda page: str(page.relative_to(ROOT))
-)
+@for_all("page", [*INSTALLING, ROOT / "Makefile"])
 def test_what_is_installed_of_ours_needs_nothing_else_of_ours_from_an_index(page: Path) -> None:
     """An extra of one distribution may need another, which stands in the same command then."""
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")

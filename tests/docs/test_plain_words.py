@@ -5,10 +5,10 @@ from __future__ import annotations
 import statistics
 from pathlib import Path
 
-import pytest
 from attrs import frozen
 from bench.pages import page_figures, pages, sentences_of
 from bench.turns import ROOT
+from tests.sweeps import for_all
 
 from uoarm.bridge import BridgeOptions, option, options_table
 
@@ -34,7 +34,7 @@ def _name(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
+@for_all("page", PAGES)
 def test_a_page_is_short_and_plain(page: Path) -> None:
     figures = page_figures(page)
     assert figures.words <= LONGER_PAGES.get(page.name, WORDS), "split it by task"

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.examples.warehouse_fleet import WAREHOUSE
+from tests.sweeps import for_all
 from warehouse_floor.bodies import BASE_TIMEOUT, Floor
 from warehouse_floor.layout import DOCKS, HOMES, NODES, SHELVES, neighbours, route
 from warehouse_orders.orders import Journal, Note, Order, Status, read_lines, replay
@@ -115,7 +116,7 @@ def test_a_route_leads_along_neighbours_and_past_what_is_closed(
     assert all(there in neighbours(here) for here, there in pairwise(way))
 
 
-@pytest.mark.parametrize("start", sorted(NODES))
+@for_all("start", sorted(NODES))
 def test_every_node_can_be_left_for_every_other(start: str) -> None:
     assert all(route(start, goal) for goal in NODES)
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import DataObject, data
 from tests.schema._strategies import Body, schemas
 from tests.structures import closed
+from tests.sweeps import for_all
 
 from uoarm.bridge._compiled_check import Accepts, compile_check
 from uoarm.bridge._full_validator import validator_of
@@ -136,10 +137,10 @@ FORMS: dict[str, Callable[[float], Message]] = {
 }
 
 
-@pytest.mark.parametrize("bounds", [{}, {"maximum": 5}, {"exclusiveMaximum": 5}, FLOAT32])
-@pytest.mark.parametrize("nonfinite", [True, False])
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float32(math.inf)])
-@pytest.mark.parametrize("form", FORMS)
+@for_all("bounds", [{}, {"maximum": 5}, {"exclusiveMaximum": 5}, FLOAT32])
+@for_all("nonfinite", [True, False])
+@for_all("value", [math.nan, math.inf, -math.inf, np.float32(math.inf)])
+@for_all("form", FORMS)
 def test_what_is_not_finite_is_within_a_range_only_where_the_structure_says_so(
     bounds: Mapping[str, object], nonfinite: bool, value: float, form: str
 ) -> None:

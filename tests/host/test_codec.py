@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.hostile import misbehaviour
 from tests.structures import Quits
+from tests.sweeps import for_all
 
 from uoarm._host.transport import codec
 from uoarm._host.transport.codec import pack, unpack
@@ -48,8 +49,8 @@ def test_what_is_not_a_number_stays_so() -> None:
     assert math.isnan(unpack(pack({"x": math.nan}))["x"])
 
 
-@pytest.mark.parametrize("kind", ["?", "i1", "u1", "<i2", ">u2", "<i4", "<u8", "<f2", ">f4", "<f8"])
-@pytest.mark.parametrize("shape", [(0,), (5,), (3, 2), (2, 0, 3), ()])
+@for_all("kind", ["?", "i1", "u1", "<i2", ">u2", "<i4", "<u8", "<f2", ">f4", "<f8"])
+@for_all("shape", [(0,), (5,), (3, 2), (2, 0, 3), ()])
 def test_numeric_arrays_keep_type_shape_and_values(kind: str, shape: tuple[int, ...]) -> None:
     sent = (np.arange(math.prod(shape)) % 2).astype(kind).reshape(shape)
     got = unpack(pack({"a": sent, "b": [sent, "text"]}))

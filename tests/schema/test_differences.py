@@ -8,6 +8,7 @@ import pytest
 from tests.schema._judge import answer, verify_counterexample
 from tests.schema._random_choices import RandomChoices
 from tests.schema._robot_schemas import closed, integer_type, robot_schema
+from tests.sweeps import for_all
 
 from uoarm.schema import check
 from uoarm.schema._errors import Meter
@@ -111,7 +112,7 @@ def changed(choices: RandomChoices, schema: Any) -> Any:
     return choices.item([NUMBER, BYTE, {"type": "integer"}, {"type": ["string", "null"]}, True])
 
 
-@pytest.mark.parametrize("seed", range(150))
+@for_all("seed", range(150))
 def test_it_says_what_a_search_of_the_whole_says(seed: int) -> None:
     choices = RandomChoices(seed)
     one = robot_schema(choices)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import pytest
 from attrs import evolve, fields
 from tests.server.test_role_views import ALL, BLIND, GUEST, ROBOT, STATUS
+from tests.sweeps import for_all
 
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form, read_binary, read_text
 from uoarm.client._answers import merged_status
@@ -69,15 +69,15 @@ CHANGES: Mapping[str, StatusMap] = {
 }
 
 
-@pytest.mark.parametrize("role", [ALL, GUEST, BLIND], ids=lambda role: role.name)
-@pytest.mark.parametrize("form", [TEXT_FORM, BINARY_FORM], ids=lambda form: form.name)
-@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES.keys())
+@for_all("role", [ALL, GUEST, BLIND], lambda role: role.name)
+@for_all("form", [TEXT_FORM, BINARY_FORM], lambda form: form.name)
+@for_all("change", CHANGES)
 def test_what_is_known_with_what_has_changed_is_the_whole(
-    change: StatusMap, form: Form, role: AccessRole
+    change: str, form: Form, role: AccessRole
 ) -> None:
     robot = Robot()
     known: Mapping[str, Any] = robot.ask(role=role, form=form)
-    for status in (STATUS, change, STATUS, change):
+    for status in (STATUS, CHANGES[change]) * 2:
         robot.status = status
         reports = robot.ask(known["version"], role=role, form=form)
         assert reports["since"] == known["version"]
