@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
 import os
 import random
 import select
@@ -111,13 +110,15 @@ def test_a_body_is_bounded_before_it_is_parsed(agents: Agents, body: bytes, stat
     assert httpx2.post(agents.url, content=body, headers=headers).status_code == status
 
 
-def test_nan_is_no_json(agents: Agents) -> None:
-    arguments = {"seconds": math.nan}  # within any bounds
+@pytest.mark.parametrize("seconds", ["NaN", '1.0, "seconds": 2.0'])
+def test_what_other_readers_take_otherwise_is_no_json(agents: Agents, seconds: str) -> None:
+    arguments = {"seconds": 0.125}  # within any bounds
     body, headers = agents.request(
         "tools/call", "read_numbers", name="read_numbers", arguments=arguments
     )
     headers["Content-Type"] = "application/json"
-    refused = httpx2.post(agents.url, content=json.dumps(body), headers=headers, timeout=patience())
+    text = json.dumps(body).replace("0.125", seconds)
+    refused = httpx2.post(agents.url, content=text, headers=headers, timeout=patience())
     assert (refused.status_code, refused.text[:8]) == (400, "not JSON")
 
 

@@ -201,29 +201,49 @@ def test_what_is_too_long_or_no_message_is_left_out(tmp_path: Path, access: Path
         assert found["result"]["structuredContent"]["result"] == {"value": 3}
 
 
+def request(identity: str, more: bytes) -> bytes:
+    return b'{"jsonrpc": "2.0", "id": %s, "method": "a"%s}' % (identity.encode(), more)
+
+
 NO_MESSAGES = (
-    (b'{"jsonrpc": "2.0", "id": 1, "meth', -32700, "one message of JSON-RPC"),
-    (b"{}", -32600, "one message of JSON-RPC"),
-    (b'{"jsonrpc": "2.0", "id": 1, "method": "a\\ud800"}', -32700, "one message of JSON-RPC"),
-    (b'{"jsonrpc": "2.0", "id": 1, "method": "a", "params": {"a": NaN}}', -32600, "not JSON"),
-    (b"[" * 200, -32600, "nested more than 64 levels deep"),
-    (b"[" + b"0," * 510_000 + b"0]", -32600, "more than 500,000 values"),
-    (b"x" * 3_000_000, -32700, "1,048,576 octets at most"),
-    (b'{"jsonrpc": "2.0", "id": 1.5, "method": "ping"}', -32600, "string or a whole number"),
-    (b'{"jsonrpc": "2.0", "id": null, "method": "ping"}', -32600, "string or a whole number"),
+    (b'{"jsonrpc": "2.0", "id": 1, "meth', None, -32700, "one message of JSON-RPC"),
+    (b"{}", None, -32600, "one message of JSON-RPC"),
+    (b'{"jsonrpc": "1.0", "id": "a", "method": "b"}', "a", -32600, "one message of JSON-RPC"),
+    (request('"\\ud800"', b""), "\ud800", -32700, "one message of JSON-RPC"),
+    (request("1", b', "params": {"a": "\xff"}'), 1, -32700, "JSON-RPC, in UTF-8"),
+    (request("1", b', "params": {"a": NaN}'), 1, -32600, "not JSON"),
+    (request("1", b', "params": {"a": 1, "a": 2}'), 1, -32600, "given twice"),
+    (b"[" * 200, None, -32600, "nested more than 64 levels deep"),
+    (request('"all"', b', "params": [0' + b",0" * 510_000 + b"]"), "all", -32600, "500,000 values"),
+    (b"x" * 3_000_000, None, -32700, "1,048,576 octets at most"),
+    (request("1.5", b""), None, -32600, "string or a whole number"),
+    (request("null", b""), None, -32600, "string or a whole number"),
+    (b'{"jsonrpc": "2.0", "id": 1, "result": NaN}', None, -32600, "one message of JSON-RPC"),
 )
 
 
-def test_a_line_that_is_no_message_is_answered(tmp_path: Path, access: Path) -> None:
+def test_a_line_that_is_no_message_is_answered_by_its_id(tmp_path: Path, access: Path) -> None:
     with started(tmp_path, access) as (process, _):
         assert process.stdin is not None
-        for number, (line, code, reason) in enumerate(NO_MESSAGES):
+        for number, (line, identity, code, reason) in enumerate(NO_MESSAGES, 2):
             process.stdin.write(line + b"\n")
             ask(process, number, {"a": 1, "b": 2})
             found = answer(process)
-            assert (found["id"], found.get("error", {}).get("code")) == (None, code), line[:80]
+            assert (found["id"], found.get("error", {}).get("code")) == (identity, code), line[:80]
             assert reason in found["error"]["message"]
             assert answer(process)["id"] == number
+
+
+async def test_the_last_line_needs_no_end() -> None:
+    (incoming, going), (coming, outgoing) = os.pipe(), os.pipe()
+    written = _command._OutputLines(outgoing)
+    lines = _command._InputLines(incoming, Budget(1000, 1000, 10, 2), written)
+    os.write(going, b'{"jsonrpc": "2.0", "method": "a"}\n{"jsonrpc": "2.0", "method": "b"}')
+    os.close(going)
+    assert [json.loads(line)["method"] async for line in lines] == ["a", "b"]
+    written.drain()
+    for end in (incoming, coming, outgoing):
+        os.close(end)
 
 
 def test_an_agent_that_reads_nothing_holds_up_no_person(tmp_path: Path, access: Path) -> None:

@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import ctypes
 import fcntl
+import json
 import os
 import queue
 import signal
@@ -18,7 +19,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
-import orjson
 from anyio import AsyncFile
 from mcp.server.stdio import stdio_server
 from mcp_types import (
@@ -255,23 +255,24 @@ class _InputLines:
             if error is None:
                 yield line
             else:
-                self._answers.put(f"{orjson.dumps(error).decode()}\n")
+                self._answers.put(f"{json.dumps(error)}\n")
 
     def _error(self, line: str) -> Mapping[str, Any] | None:
         """Return the answer to what is no message, None where it is one."""
         try:
             scan_json(line, BudgetUse(self._budget))
             jsonrpc_message_adapter.validate_json(line, by_name=False)
-            id_of(line)
+            id_of(line, self._budget)
         except ControlMessageError as refused:
             code, text = INVALID_REQUEST, str(refused)
         except ValidationError as refused:
-            is_json = refused.errors(include_input=False)[0]["type"] != "json_invalid"
-            code = INVALID_REQUEST if is_json else PARSE_ERROR
-            text = f"expected one message of JSON-RPC in a line of {_LINE_OCTETS:,} octets at most"
+            kind = refused.errors(include_input=False)[0]["type"]
+            code = PARSE_ERROR if kind in {"json_invalid", "string_unicode"} else INVALID_REQUEST
+            most = f"{_LINE_OCTETS:,} octets at most"
+            text = f"expected one message of JSON-RPC, in UTF-8, in a line of {most}"
         else:
             return None
-        return {"jsonrpc": "2.0", "id": None, "error": {"code": code, "message": text}}
+        return {"jsonrpc": "2.0", "id": _id_in(line), "error": {"code": code, "message": text}}
 
     def _read(self) -> None:
         rest = bytearray()
@@ -281,7 +282,7 @@ class _InputLines:
             for line in lines:
                 rest += line
                 if not is_late:
-                    self._put(rest.decode("utf-8", "replace"))
+                    self._put(rest.decode("utf-8", "surrogateescape"))
                 is_late = False
                 rest.clear()
             if not is_late:
@@ -290,6 +291,8 @@ class _InputLines:
                 self._put("too long")  # no JSON, and answered as such
                 is_late = True
                 rest.clear()
+        if rest:  # the last line may have no end
+            self._put(rest.decode("utf-8", "surrogateescape"))
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self.end)
 
@@ -307,6 +310,16 @@ class _InputLines:
     def _take(self, line: str | None) -> None:
         self._lines.append(line)
         self._answers.changed.set()
+
+
+def _id_in(line: str) -> str | int | None:
+    """Return the id of a request that is refused: its client waits for the answer by that."""
+    try:
+        message = json.loads(line)  # which takes more than JSON
+    except (ValueError, RecursionError):
+        return None
+    found = message.get("id") if isinstance(message, dict) and "method" in message else None
+    return found if type(found) in {str, int} else None
 
 
 class _OutputLines:

@@ -265,7 +265,7 @@ class AdmittingApp:
         if body is None:
             return
         try:
-            identity = id_of(text) if text else ""
+            identity = id_of(text, budget) if text else ""
         except ControlMessageError as error:
             await _answer(send, 400, coded_text(error))
             return

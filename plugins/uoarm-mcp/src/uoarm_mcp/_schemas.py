@@ -12,9 +12,9 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import best_match
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message, MessageStructure, closed_object
+from uoarm.model import Budget, BudgetUse, Message, MessageStructure, closed_object
 from uoarm.schema import change_parts, enclose
-from uoarm.server.front_end import TEXT_FORM
+from uoarm.server.front_end import TEXT_FORM, read_text
 
 APPROVAL = "x-approval"
 COUNT = 100
@@ -275,18 +275,15 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else list(value)
 
 
-def id_of(text: str) -> str:
+def id_of(text: str, budget: Budget) -> str:
     """Return the id of a request; empty: it is no request.
 
     Raises:
-        ControlMessageError: it is no JSON: the SDK reads NaN, which is within any bounds. Or the id
-            is none that a request may have: the SDK reads that as a notification, and its client
-            would wait for an answer.
+        ControlMessageError: it is no JSON, or gives a key twice: the SDK reads NaN, and takes the
+            last of the two. Or the id is none that a request may have: the SDK reads that as a
+            notification, and its client would wait for an answer.
     """
-    try:
-        message = orjson.loads(text)
-    except orjson.JSONDecodeError as error:
-        raise ControlMessageError(f"not JSON: {error}") from None
+    message = read_text(text, BudgetUse(budget))
     if not isinstance(message, dict) or not message.keys() >= {"id", "method"}:
         return ""
     if type(message["id"]) not in {str, int}:
