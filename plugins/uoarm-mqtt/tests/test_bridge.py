@@ -223,7 +223,7 @@ class TestBudget:
     def test_another_content_type_is_not_read_as_json(self, bridge: Bridge, peer: Peer) -> None:
         collector, source = listen(bridge, "typed")
         peer.publish("typed", b"1", ContentType="image/png")
-        peer.publish("typed", b"2", ContentType="application/vnd.mine+json")
+        peer.publish("typed", b"2", ContentType="Application/vnd.mine+JSON")
         assert collector.wait(1) == [2]
         assert source.unreadable == 1
 

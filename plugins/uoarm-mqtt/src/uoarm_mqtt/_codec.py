@@ -123,7 +123,7 @@ class PayloadCodec:
         text = payload.decode()
         if self.content == "text":
             return text
-        if content_type and "json" not in content_type:
+        if content_type and "json" not in content_type.lower():
             raise ValueError(f"its content type is {content_type[:80]!r}, expected JSON")
         scan_json(text, spending)
         value = read_json(text)
