@@ -24,6 +24,7 @@ from uoarm.bridge._compiled_check import judged
 from uoarm.bridge._full_validator import _key
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, ValidationMode
+from uoarm.schema import check as verdict_of
 from uoarm.testing import Background
 
 OCTETS = {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}}
@@ -311,6 +312,22 @@ def tree(union: str, *order: str) -> MessageStructure:
     leaf = {"type": "object", "properties": {"kind": {"const": "leaf"}}, "required": ["kind"]}
     forms = {union: [node("sequence"), node("selector"), leaf]}
     return MessageStructure({"$defs": {"node": forms}, "$ref": "#/$defs/node"})
+
+
+CENTS = {"type": "number", "multipleOf": 0.01}
+
+
+def test_multiples_are_of_the_decimal_numbers_that_are_written() -> None:
+    """As the proof reads them, which has 19.99 a multiple of 0.01."""
+    prices = [number / 100 for number in range(-2000, 10_000)]
+    assert verdict_of({"enum": prices}, CENTS).compatible
+    checker = make_check(MessageStructure(CENTS), ValidationMode.ALWAYS, "price")
+    assert checker is not None
+    for price in (*prices, 1e308, 10**400, np.float64(19.99)):
+        checker(price)
+    for other in (0.015, 5e-324, math.nan, math.inf):
+        with pytest.raises(MessageError, match=r"multipleOf: expected 0\.01"):
+            checker(other)
 
 
 @pytest.mark.parametrize("union", ["anyOf", "oneOf"])

@@ -11,6 +11,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from fractions import Fraction
 from functools import cache
 from typing import Any, TypeAlias, cast
 
@@ -134,6 +135,7 @@ def _kind() -> type[Validator]:
             "enum": _enumerated,
             "const": lambda validator, value, *rest: _enumerated(validator, [value], *rest),
             "$ref": _reference,
+            "multipleOf": _bounded(_is_multiple),
             **ranges,
             **sizes,
             **units,
@@ -257,6 +259,17 @@ def _bounded(holds: Callable[[Any, Any], bool]) -> Callable[..., Errors]:
             yield ValidationError("out of range")
 
     return within
+
+
+def _is_multiple(number: Any, step: Any) -> bool:
+    """Say whether it is one as both are written, as the proof reads them: in binary few are."""
+    if isinstance(number, float) and not math.isfinite(number):
+        return False
+    return not _exact(number) % _exact(step)
+
+
+def _exact(number: Any) -> int | Fraction:
+    return number if isinstance(number, int) else Fraction(float.__repr__(number))
 
 
 def _items(
