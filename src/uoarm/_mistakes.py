@@ -95,7 +95,7 @@ def mistakes(
     keyword = str(error.validator)
     rules: Any = error.schema
     if is_about_a_key(error):
-        wanted = f"a name that matches {expected}" if keyword == "pattern" else "another name"
+        wanted = f"a name {_form(rules)}" if keyword == "pattern" else "another name"
         yield (*path, value), f"expected {wanted}, got {write(value)}", "", True
     elif keyword == "additionalProperties":
         yield from _unknown_keys(path, value, rules.get("properties", {}), speller)
@@ -112,9 +112,7 @@ def mistakes(
         sentence = f"expected {any_of([_choice(word) for word in expected])}, got {write(value)}"
         yield path, sentence, near(value, expected, speller), False
     elif keyword == "pattern":
-        examples = rules.get("examples", ())
-        wanted = f"such as {examples[0]}" if examples else f"that matches {expected}"
-        yield path, f"expected text {wanted}, got {write(value)}", "", False
+        yield path, f"expected text {_form(rules)}, got {write(value)}", "", False
     elif keyword == "x-nul":
         yield path, f"expected a string without the character NUL, got {write(value)}", "", False
     elif keyword in _UNITS:
@@ -185,6 +183,14 @@ def near(value: object, allowed: Collection[object], speller: Speller) -> str:
 def _choice(value: object) -> str:
     """Write what may be written: a word as it is, anything else as in JSON."""
     return value if isinstance(value, str) else clip(value)
+
+
+def _form(rules: Mapping[str, Any]) -> str:
+    """Say what a text is like that matches a pattern, and what may stand in its place."""
+    examples, types = rules.get("examples", ()), rules.get("type")
+    form = f"such as {examples[0]}" if examples else f"that matches {rules['pattern']}"
+    others = [name for name in types if name != "string"] if isinstance(types, list) else []
+    return f"{form}, or {_expected(others, None)}" if others else form
 
 
 def _expected(types: str | list[str], value: object) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from uoarm.bridge import (
 )
 from uoarm.config import completed_schema, inspect, published_schema
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
+from uoarm.local import PythonOptions
 from uoarm.model import BridgeSpec, Endpoint, Role
 from uoarm.testing import MemoryBridge
 
@@ -396,6 +398,67 @@ def test_what_is_wrong_is_not_also_doubted(tmp_path: Path) -> None:
         found = [warning.sentence for warning in report.warnings]
         assert [text for text in found if "far away" in text or "looked at" in text] == sentences
     assert len(asked) == 1
+
+
+def test_a_component_is_not_called_unavailable_for_a_mistake_in_an_option(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        "version: 1\nbridges: {python: {options: {timeout: long}}}\nfunctions:\n"
+        "  a: {components: [{name: a, bridge: python, service: {endpoint: ['json:loads']}}]}\n"
+    )
+    report = inspect(file, types=Registry().types, parameters=True, missing=str)
+    assert [problem.path for problem in report.problems] == ["$.bridges.python.options.timeout"]
+    assert not report.warnings
+
+
+def test_a_text_that_has_a_form_is_explained_by_an_example() -> None:
+    """Of each plugin that is installed: a pattern is no explanation."""
+    schemas = [
+        schema
+        for kind in Registry().types.values()
+        for schema in (
+            kind.options_schema,
+            kind.endpoint_options and kind.endpoint_options.schema(),
+        )
+    ]
+    forms = [rules for rules in parts(schemas) if isinstance(rules.get("pattern"), str)]
+    own: Any = PythonOptions.schema()
+    unwritten = {own["properties"]["code"]["pattern"]}  # by people
+    unexplained = [rules for rules in forms if not rules.get("examples")]
+    assert {rules["pattern"] for rules in unexplained} == unwritten
+    assert all(
+        re.search(form["pattern"], text) for form in forms for text in form.get("examples", ())
+    )
+
+
+def parts(schema: Any) -> Iterator[Mapping[str, Any]]:
+    """Yield a schema and all that stands in it."""
+    if isinstance(schema, Mapping):
+        yield schema
+    values = schema.values() if isinstance(schema, Mapping) else schema
+    for value in values if isinstance(schema, Mapping | list | tuple) else ():
+        yield from parts(value)
+
+
+@pytest.mark.parametrize(
+    ("types", "said"),
+    [
+        ("string", "expected text such as auto, got"),
+        (["string", "object"], "expected text such as auto, or a mapping, got"),
+        (["number", "string", "null"], "expected text such as auto, or a number or nothing, got"),
+    ],
+)
+def test_what_may_be_text_of_one_form_or_something_else_says_both(
+    tmp_path: Path, types: str | list[str], said: str
+) -> None:
+    @frozen
+    class Further(House):
+        qos: Any = option("auto", {"type": types, "pattern": "^auto$", "examples": ["auto"]}, "x")
+
+    file = house(tmp_path, "{street: x, qos: best_effort}")
+    kind = attrs.evolve(HOUSE, bridge_options=Further)
+    (problem,) = inspect(file, types={"house": kind}).problems
+    assert problem.sentence == f'the plugin house: {said} "best_effort"'
 
 
 def test_what_is_left_out_is_shared_with_no_other() -> None:

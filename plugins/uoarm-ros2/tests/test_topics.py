@@ -712,11 +712,15 @@ def _is_there(bridge: Bridge, topic: str) -> bool:
             {"qos": {"lifespan": 1e12}},
             "qos.lifespan: expected at most 1000000000",
         ),
-        (("/a", INT64), {"qos": "atuo"}, r"option \$.qos: expected text such as auto, got"),
+        (
+            ("/a", INT64),
+            {"qos": "atuo"},
+            r"option \$.qos: expected text such as auto, or a mapping, got",
+        ),
         (
             ("/a", INT64),
             {"qos": {"deadline": "atuo"}},
-            r"qos.deadline: expected text such as auto, got",
+            r"qos.deadline: expected text such as auto, or a number or nothing, got",
         ),
         (("/a", INT64), {"node": "a b"}, r"option \$.node: expected text such as /camera"),
         (("/a", INT64), {"activate": "on"}, r"activate: expected false, true or keep"),

@@ -95,7 +95,7 @@ class PluginChecker:
         for component in components(self._document.value):
             bridge, given = component.text("bridge"), component.value.get("parameters", {})
             kind, options = self._bridges.get(bridge or "", (None, None))
-            if kind is None or self._is_hosted(bridge):
+            if kind is None or bridge in self._wrong_bridges or self._is_hosted(bridge):
                 continue
             if kind.check_parameters is None and kind.describe is None:
                 continue

@@ -182,7 +182,11 @@ class MqttOptions(BrokerOptions):
     )
     schemas: str = option(
         "",
-        {"type": "string", "pattern": r"^[^+#{}]*\{topic\}[^+#{}]*$"},
+        {
+            "type": "string",
+            "pattern": r"^[^+#{}]*\{topic\}[^+#{}]*$",
+            "examples": ["schemas/{topic}"],
+        },
         "where structures are retained, such as `schemas/{topic}`",
     )
     retained_wait: float = option(
@@ -229,7 +233,7 @@ class TopicOptions(EndpointOptions):
     )
     share: str = option(
         "",
-        {"type": "string", "pattern": "^[^/+#]+$"},
+        {"type": "string", "pattern": "^[^/+#]+$", "examples": ["robots"]},
         "group of a shared subscription, where each message goes to one member; not with `retain`",
     )
     with_topic: bool = option(

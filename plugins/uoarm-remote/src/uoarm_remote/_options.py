@@ -9,7 +9,11 @@ from attrs import frozen
 from uoarm.bridge import BridgeOptions, EndpointOptions, TlsOptions, address_check, option
 
 _SECONDS = {"type": "number", "exclusiveMinimum": 0}
-_FINGERPRINT = {"type": "string", "pattern": "^([0-9A-Fa-f]{2}:?){31}[0-9A-Fa-f]{2}$"}
+_FINGERPRINT = {
+    "type": "string",
+    "pattern": "^([0-9A-Fa-f]{2}:?){31}[0-9A-Fa-f]{2}$",
+    "examples": [":".join(["73", "2E"] * 16)],
+}
 _URL = {"type": "string", "pattern": r"^wss?://[^@?#\s]+$", "examples": ["wss://robot3:9080/"]}
 _FILE = {"type": "string", "minLength": 1, "x-uoarm-path": True}
 _PARTS = 2  # a function and a port

@@ -144,7 +144,7 @@ class RocosOptions(BridgeOptions):
         {
             "type": "object",
             "minProperties": 1,
-            "propertyNames": {"pattern": "^[A-Za-z_][A-Za-z0-9_.-]*$"},
+            "propertyNames": {"pattern": "^[A-Za-z_][A-Za-z0-9_.-]*$", "examples": ["robot"]},
             "additionalProperties": DeviceOptions,
             "examples": [{"robot": {"url": "tcp://127.0.0.1:4000"}}],
         },

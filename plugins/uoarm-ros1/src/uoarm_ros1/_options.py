@@ -20,6 +20,11 @@ _COUNT: Mapping[str, object] = {"type": "integer", "minimum": 1}
 _GRAPH_NAME = r"[/~]?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*"
 _NAME = re.compile(_GRAPH_NAME)
 _TYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*")
+_RESOURCE: Mapping[str, object] = {
+    "type": "string",
+    "pattern": f"^{_GRAPH_NAME}$",
+    "examples": ["/camera"],
+}
 
 _PERIOD: Mapping[str, object] = {"type": "number", "minimum": 0.05, "maximum": 3600}
 
@@ -30,7 +35,11 @@ class Ros1BridgeOptions(BridgeOptions):
 
     master: str = option(
         "",
-        {"type": "string", "pattern": r"^http://[^/@?#\s]+/?$"},
+        {
+            "type": "string",
+            "pattern": r"^http://[^/@?#\s]+/?$",
+            "examples": ["http://127.0.0.1:11311"],
+        },
         "left out: `ROS_MASTER_URI`, else port 11311 here",
     )
     host: str = option(
@@ -41,20 +50,20 @@ class Ros1BridgeOptions(BridgeOptions):
     )
     node: str = option(
         "",
-        {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_]*$"},
+        {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_]*$", "examples": ["left"]},
         "two nodes of one name end each other; left out: one that no other has",
     )
     namespace: str = option(
         "",
-        {"type": "string", "pattern": f"^(/|{_GRAPH_NAME})$"},
+        {"type": "string", "pattern": f"^(/|{_GRAPH_NAME})$", "examples": ["/left"]},
         "of the node and of relative names; left out: `ROS_NAMESPACE`, else `/`",
     )
     remap: Mapping[str, str] = option(
         {},
         {
             "type": "object",
-            "propertyNames": {"pattern": f"^{_GRAPH_NAME}$"},
-            "additionalProperties": {"type": "string", "pattern": f"^{_GRAPH_NAME}$"},
+            "propertyNames": _RESOURCE,
+            "additionalProperties": _RESOURCE,
         },
         "names that stand for others",
     )
@@ -123,7 +132,7 @@ class Ros1Options(PeerOptions):
     )
     node: str = option(
         "",
-        {"type": "string", "pattern": f"^{_GRAPH_NAME}$"},
+        _RESOURCE,
         "of an output the one node that is read, of an input one that must subscribe; left "
         "out: all",
     )

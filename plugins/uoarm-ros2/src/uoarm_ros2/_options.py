@@ -46,7 +46,7 @@ class Ros2BridgeOptions(BridgeOptions):
     )
     node: str = option(
         "",
-        {"type": "string", "pattern": "^[A-Za-z_][A-Za-z0-9_]*$"},
+        {"type": "string", "pattern": "^[A-Za-z_][A-Za-z0-9_]*$", "examples": ["left"]},
         "name of the bridge's node; left out: `uoarm_` and the bridge's name",
     )
     namespace: str = option(

@@ -233,7 +233,7 @@ class RtmBridgeOptions(BridgeOptions):
     )
     component: str = option(
         "",
-        {"type": "string", "pattern": "^[A-Za-z0-9_]+$"},
+        {"type": "string", "pattern": "^[A-Za-z0-9_]+$", "examples": ["Manager0"]},
         "name of our own component; left out: `uoarm_` and the bridge's name",
     )
 

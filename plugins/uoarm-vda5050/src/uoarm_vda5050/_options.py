@@ -28,7 +28,7 @@ class FleetOptions(BrokerOptions):
     )
     interface: str = option(
         "",
-        {"type": "string", "pattern": r"^[^/+#$\s]+$"},
+        {"type": "string", "pattern": r"^[^/+#$\s]+$", "examples": ["uagv"]},
         "the first level of topics; left out: `uagv`, from release 3.0 on `vda5050`",
     )
     schemas: str | None = option(
