@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from _uoarm_rtm_stubs import RTC
 from attrs import evolve
-from endpoints import HANGS_AFTER, Make, Start, endpoint, sink, source, stamped
+from endpoints import HANGS_AFTER, Make, Start, checked, endpoint, sink, source, stamped
 from jsonschema import Draft202012Validator
 from peers import Peer
 from tests.inbox import Inbox  # type: ignore[import-not-found]
@@ -24,7 +24,9 @@ from uoarm_rtm._services import OperationCaller
 from uoarm_rtm.component import ComponentProfile, RtComponent, Types
 from uoarm_rtm.errors import IdlError
 
+from uoarm import RobotManager
 from uoarm.bridge import Bridge, Channel, ServiceStructures
+from uoarm.config import loads
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm.testing import Background, patience, wait
@@ -43,6 +45,37 @@ def robot(peer: Start) -> Peer:
     component = peer("Robot")
     component.provide(IDL, "Mover")
     return component
+
+
+CALLED = """
+version: 1
+bridges: {rtm: {plugin: rtm}}
+functions:
+  move:
+    components:
+      - {name: arm, bridge: rtm, service: {endpoint: [Robot.rtc, served, "Arm::Mover::move"]}}
+"""
+
+
+def test_the_end_of_a_component_that_is_called_is_shown_until_it_is_there_again(
+    make_bridge: Make, robot: Peer, peer: Start
+) -> None:
+    bridge = make_bridge(idl=IDL)
+    checked(bridge, "Robot.rtc")
+    with RobotManager(loads(CALLED), bridges={"rtm": bridge}) as manager:
+        asked = {"target": {"x": 0.5, "y": 0.0}, "steps": 3}
+        manager.call("move", asked, timeout=patience())
+        assert manager.status().components == ()
+        robot.kill()
+        wait(lambda: manager.status().components)
+        [arm] = manager.status().components
+        assert (arm.name, arm.health) == ("arm", Health.LOST)
+        assert arm.cause.startswith("component Robot.rtc died")
+        peer("Robot").provide(IDL, "Mover")
+        wait(lambda: not manager.status().components)
+        with pytest.raises(BridgeError, match="is gone"):  # to which it was connected
+            manager.call("move", asked, timeout=patience())
+        manager.call("move", asked, timeout=patience())
 
 
 def test_a_service_is_described_called_and_checked(make_bridge: Make, robot: Peer) -> None:

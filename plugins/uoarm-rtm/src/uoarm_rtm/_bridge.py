@@ -26,7 +26,7 @@ from uoarm.bridge import (
     on_failure,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Message, MessageStructure, Role
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_rtm._channels import (
     InPortSink,
     NativeConnector,
@@ -99,12 +99,14 @@ class RtmBridge(Bridge):
         self._making = threading.Lock()
         self._own: OwnComponent | None = None
         self._callers: dict[tuple[str, ...], OperationCaller] = {}
+        # By path, which components of the configuration are there, and whether each is called.
+        self._named: dict[str, dict[str, bool]] = {}
         self._active = Activations(seconds)
         self._watched: dict[str, WatchedComponent] = {}
         self._ticking: dict[OutPortSource | InPortSink, None] = {}
         self._ticker = Ticker(self._checks, self._options.watch)
         soon, follow, own = self._ticker.soon, self._ticker.follow, f"{self._component}.rtc"
-        self._monitor = DirectoryMonitor(self._directory, self.report, own, follow)
+        self._monitor = DirectoryMonitor(self._directory, self._report_path, own, follow)
         self._observers = Observers(self._orb, self._component, seconds, soon)
         with on_failure(self._orb.close):
             self._ticker.start()
@@ -113,18 +115,18 @@ class RtmBridge(Bridge):
     def _describe(self, endpoint: Endpoint) -> Description:
         address = address_of(endpoint)
         if endpoint.role is Role.SERVICE:
-            return self._describe_service(address)
+            return self._describe_service(endpoint, address)
         if address.component == SELF:
             known = self._types.structure(address.type) if address.type else None
             return Description(message=known)
         _, port = self._port(endpoint, address)
         return Description(message=self._types.structure(port.data_type))
 
-    def _describe_service(self, address: PortAddress) -> Description:
+    def _describe_service(self, endpoint: Endpoint, address: PortAddress) -> Description:
         if address.component == SELF:
             known = described(*self._types.interface(address.type)) if address.type else None
             return known or Description()
-        peer = self._directory.peer(address.component)
+        peer = self._peer(endpoint, address)
         if address.port in DESCRIPTIONS:
             return DESCRIPTIONS[address.port]
         port = peer.port(address.port)
@@ -300,12 +302,29 @@ class RtmBridge(Bridge):
 
     def _port(self, endpoint: Endpoint, address: PortAddress) -> tuple[PeerComponent, PeerPort]:
         """Return the port of an address, which can be what is asked, and is not of a failed one."""
-        peer = self._directory.peer(address.component)
+        peer = self._peer(endpoint, address)
         options = RtmEndpointOptions.of_endpoint(endpoint)
         port = required_port(peer, endpoint.role, address, options, self._types)
         if not options.reset:
             self._require_no_error(peer)
         return peer, port
+
+    def _peer(self, endpoint: Endpoint, address: PortAddress) -> PeerComponent:
+        peer = self._directory.peer(address.component)
+        with self._guard:
+            named = self._named.setdefault(peer.path, {})
+            named[endpoint.component] = endpoint.role is Role.SERVICE
+        return peer
+
+    def _report_path(self, health: Health, cause: str, *, component: str | None) -> None:
+        """Report what became of a path in naming services; None: of all of it."""
+        self.report(health, cause, component=component)
+        with self._guard:
+            named = self._named.get(component or "", {}).copy()
+        for name, is_called in named.items():
+            # That what is open was lost, its channels report.
+            if name != component and (is_called or health is Health.OK):
+                self.report(health, cause, component=name)
 
     def _require_no_error(self, peer: PeerComponent) -> None:
         """Raise BridgeError, UNAVAILABLE, where a component has failed: then another is chosen."""
