@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from uoarm.testing._instance_builder import Choices
 
 
-@pytest.mark.parametrize("block", range(6))
+@pytest.mark.parametrize(
+    "block", [*range(3), *(pytest.param(block, marks=pytest.mark.long) for block in range(3, 30))]
+)
 @pytest.mark.parametrize("draw", PAIRS)
 def test_a_verdict_beside_an_unknown_schema_holds_for_any_schema(
     draw: Callable[[Choices], tuple[Body, Body]], block: int
