@@ -20,7 +20,7 @@ from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health, Role
 from uoarm.server.front_end import Operation, Supervision
-from uoarm.testing import patience, wait
+from uoarm.testing import Collector, patience, wait
 
 SET_BOOL = "std_srvs/srv/SetBool"
 
@@ -144,6 +144,36 @@ def test_a_node_is_left_before_a_waiting_caller_continues() -> None:
     go.set()
     node.join(patience())
     assert asked == [Transition.ACTIVATE, Transition.DEACTIVATE, "deaf"]
+
+
+@pytest.mark.parametrize("state", ["inactive", "finalized"])
+def test_what_was_reported_in_one_call_is_over_with_the_next(state: str) -> None:
+    there, reports = ["inactive"], Collector()
+
+    def ask(service: str, _type: str, request: Any, _seconds: float) -> Any:
+        if "transition" in request:
+            there[0] = (
+                "active" if request["transition"]["id"] == Transition.ACTIVATE else "inactive"
+            )
+        return {"current_state": {"label": there[0]}}
+
+    def report(health: Health, _cause: str, component: str) -> None:
+        reports.deliver((health, component))
+
+    node = ManagedNode("/lamp", NodeAccess(ask, lambda _: True, lambda *_: lambda: None, report))
+    lamp = NodeRequirement("/lamp", activate=True)
+    lease = node.acquire("thing", lamp)
+    there[0] = state
+    node.hint()
+    reports.wait(1)
+    node.release(lease)
+    there[0] = "inactive"
+    again = node.acquire("thing", lamp)
+    trouble = Health.DEGRADED if state == "inactive" else Health.LOST
+    assert reports.messages == [(trouble, "thing"), (Health.OK, "thing")]
+    node.release(again)
+    node.begin_closing()
+    node.join(patience())
 
 
 def test_a_node_that_does_not_answer_is_left_as_it_is_and_reported(

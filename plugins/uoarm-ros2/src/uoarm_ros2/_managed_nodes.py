@@ -135,6 +135,7 @@ _LINGER_SECONDS = 1.0  # calls follow one another; a takeover closes before it o
 _ASK_SECONDS = 5.0
 _CHANGE_SECONDS = 60.0
 _GLANCE_SECONDS = 0.02
+_WELL = Health.OK, ""
 _PRIMARY = ("unconfigured", "inactive", "active", "finalized")
 _log = Log("uoarm.ros2")
 
@@ -234,13 +235,15 @@ class ManagedNode:
                 raise BridgeError(f"node {self._name}: the bridge is closed", FailureReason.CLOSED)
             leases = [item for item in self._leases if not item.is_over]
             self._require_same_parameters(lease, leases)
-            if component not in {item.component for item in leases}:
-                self._reported.pop(component, None)
+            is_first = component not in {item.component for item in leases}
             is_fulfilled = self._is_fulfilled(lease, is_in_use=bool(leases))
             with self._changed:
                 self._leases.append(lease)
             if not is_fulfilled:
                 self._fulfil(lease)
+            # What was reported in one call of a service stands until the next one.
+            if is_first and self._reported.pop(component, _WELL)[0] is not Health.OK:
+                self._access.report(Health.OK, f"node {self._name} is as required", component)
         return lease
 
     def release(self, lease: NodeLease) -> None:
@@ -427,7 +430,7 @@ class ManagedNode:
 
     def _report(self, health: Health, cause: str) -> None:
         for component in {lease.component for lease in list(self._leases) if not lease.is_over}:
-            before = self._reported.get(component, (Health.OK, ""))
+            before = self._reported.get(component, _WELL)
             if before == (health, cause) or health is before[0] is Health.OK:
                 continue
             self._reported[component] = health, cause
