@@ -31,6 +31,16 @@ def test_every_value_is_tried_and_those_that_fail_are_named() -> None:
     ]
 
 
+def test_a_skip_is_a_failure_as_the_values_behind_it_would_not_be_tried() -> None:
+    @for_all("number", range(2))
+    def test(number: int) -> None:
+        if not number:
+            pytest.skip("there is none")
+
+    with pytest.raises(AssertionError, match="0: there is none"):
+        test()
+
+
 def test_no_value_is_a_mistake() -> None:
     with pytest.raises(AssertionError, match="no value of 'page'"):
         for_all("page", [])

@@ -15,6 +15,7 @@ import click
 import pytest
 import yaml
 from click.testing import CliRunner
+from tests.sweeps import for_all
 
 from uoarm.cli import _main, main
 from uoarm.cli._discover import _merge_into
@@ -36,7 +37,7 @@ def _commands() -> Iterator[tuple[str, ...]]:
             yield from ((name, member) for member in sorted(command.commands))
 
 
-@pytest.mark.parametrize("words", list(_commands()), ids=" ".join)
+@for_all("words", _commands(), " ".join)
 @pytest.mark.parametrize("form", [(), ("--json",)], ids=["text", "json"])
 def test_an_option_that_there_is_not_has_a_code(
     words: tuple[str, ...], form: tuple[str, ...]

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from tests.control.event_log import read_event
 from tests.control.world import FACE, Plans
+from tests.sweeps import for_all
 
 import uoarm
 from uoarm import RobotManager
@@ -138,9 +139,15 @@ def _every_error() -> list[type[UoarmError]]:
     return sorted(own, key=lambda item: item.__name__)
 
 
-@pytest.mark.parametrize("kind", _every_error(), ids=lambda kind: kind.__name__)
+EVERY_ERROR = _every_error()
+
+
+def test_no_two_errors_have_one_name() -> None:
+    assert len({kind.__name__ for kind in EVERY_ERROR}) == len(EVERY_ERROR)
+
+
+@for_all("kind", EVERY_ERROR)
 def test_every_error_is_read_back_as_itself(kind: type[UoarmError]) -> None:
-    assert [class_.__name__ for class_ in _every_error()].count(kind.__name__) == 1
     error = MADE.get(kind, kind)("it is 'hot'\nand \"wet\"")
     _assert_same(error, ev.Resolved("c1", None, error))
     _assert_same(error, ev.Opened(1, (), error))

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import attrs
-import pytest
 from tests.control.world import FACE, NAME, OTHERS, PORTS, Plans, World, discovered
+from tests.sweeps import for_all
 
 from uoarm._control.engine import actions as act
 from uoarm._control.engine import events as ev
@@ -273,7 +273,7 @@ def replay(text: str) -> Iterator[str]:
     player.check_at_rest()
 
 
-@pytest.mark.parametrize("name", FILES)
+@for_all("name", FILES)
 def test_each_move_has_the_actions_that_are_written(name: str) -> None:
     text = FILES[name].read_text(encoding="utf-8")
     assert list(replay(text)) == text.splitlines()

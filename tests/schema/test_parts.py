@@ -11,6 +11,7 @@ from tests.schema._ecma import UnsupportedPatternError
 from tests.schema._mixed_schemas import mixed_schema
 from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference, UnsupportedSchemaError
+from tests.sweeps import for_all
 
 from uoarm.schema import change_parts, document_of, enclose, follow, property_of
 
@@ -100,7 +101,7 @@ def test_the_official_suite_holds_within_another_schema(official_groups: tuple[G
     assert seen > 1000
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_all("seed", range(20))
 def test_parts_that_are_changed_into_themselves_change_nothing(seed: int) -> None:
     choices = RandomChoices(seed)
     for _ in range(50):

@@ -8,6 +8,7 @@ from collections import deque
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.sweeps import for_all
 
 from uoarm.server.streams._send_window import SendWindow
 
@@ -274,7 +275,7 @@ def test_a_window_that_is_full_has_a_ping_under_way_or_asks_for_one() -> None:
     assert not window.is_stuck(3.0)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_all("seed", range(20))
 def test_a_free_window_is_never_full_and_has_nothing_known_under_way(seed: int) -> None:
     steps = random.Random(seed)
     window, now, pings = SendWindow(), 0.0, 0
