@@ -107,6 +107,14 @@ def test_a_server_without_tls_and_a_token_that_is_none_are_said(server: Server) 
     assert CliRunner().invoke(main, ["status", "--url", address, "--token", "x\n"]).exit_code == 0
 
 
+def test_what_the_server_says_as_it_refuses_is_said(server: Server) -> None:
+    """A name of this machine that the server does not know, as behind a proxy."""
+    place = url(server).replace("127.0.0.1", "127.1")
+    shown = CliRunner().invoke(main, ["status", "--url", place])
+    assert shown.exit_code == 4
+    assert f"{place}: it refuses: Host '127.1:" in shown.output
+
+
 def test_a_redirection_is_said_with_what_to_do() -> None:
     with redirecting("http://robot.example/ros/") as place:
         shown = CliRunner().invoke(main, ["status", "--url", place])

@@ -376,7 +376,9 @@ def test_a_token_is_read_from_a_file_and_shown(tmp_path: Path, desk: Desk) -> No
         wrong = tmp_path / "wrong"
         wrong.write_text(make_token(), encoding="utf-8")
         refused = desk(robot.url, f', token_file: "{wrong}"')
-        with pytest.raises(ResolutionError, match="does not take the token"):
+        with pytest.raises(
+            ResolutionError, match=r"does not take the token.* \(HTTP 401: this server needs a"
+        ):
             refused.call("double", {"value": 2})
         absent = desk(robot.url, f', token_file: "{tmp_path / "none"}"')
         with pytest.raises(ResolutionError, match=r"token file .* cannot be read"):

@@ -100,7 +100,7 @@ def test_tls_is_spoken_and_the_token_shown(
     with bridge_to(address, tls={"ca": str(trusted)}, token_file=str(secret)) as bridge:
         assert bridge.describe(source).message is not None
     refused = (
-        ({"tls": {"ca": str(trusted)}}, "401: is the token right"),
+        ({"tls": {"ca": str(trusted)}}, "401: this server needs a token"),
         ({"token_file": str(secret)}, "not trusted: .*; give its authority as `ca`"),
     )
     for options, why in refused:

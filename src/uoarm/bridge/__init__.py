@@ -30,6 +30,7 @@ from uoarm.bridge._options import (
     option,
     options_table,
     redirection,
+    refusal,
     renewed,
     tls_fault,
 )
@@ -105,6 +106,7 @@ __all__ = [
     "options_table",
     "reading_endpoint",
     "redirection",
+    "refusal",
     "refuse_loop",
     "renewed",
     "shown",

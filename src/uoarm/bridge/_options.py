@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 _log = Log("uoarm.bridge")
 
 _OPTION = "uoarm option"
+_MOST_SAID = 300  # letters of what a server says
 T = TypeVar("T")
 
 
@@ -236,6 +237,19 @@ def redirection(error: BaseException, url: str) -> str:
             wanted = urljoin(re.sub("^ws", "http", url), location)
             return f"it redirects: give {re.sub('^http', 'ws', wanted)} as the address"
     return ""
+
+
+def refusal(error: BaseException) -> str:
+    """Return what a WebSocket server says as it refuses, "" where it says nothing as text.
+
+    Args:
+        error: of `websockets`.
+    """
+    response = getattr(error, "response", None)
+    if response is None or not response.headers.get("Content-Type", "").startswith("text/plain"):
+        return ""
+    said = bytes(response.body or b"").decode(errors="replace").strip()[:_MOST_SAID]
+    return said if said.isprintable() else ""
 
 
 def renewed(read: Callable[[], T]) -> Callable[[], T]:

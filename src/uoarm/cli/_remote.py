@@ -15,7 +15,7 @@ from attrs import field, fields_dict, frozen
 
 from uoarm import errors
 from uoarm._raised import text_of
-from uoarm.bridge import redirection, tls_fault
+from uoarm.bridge import redirection, refusal, tls_fault
 from uoarm.cli._output import UNWRITTEN, echo, styled
 from uoarm.cli._shared import (
     BRIDGE,
@@ -197,6 +197,8 @@ def _cause(error: Exception, server: Remote) -> str:
             return "it ends the connection: it may not accept --certificate, or that has ended"
         tls = "" if server.url.startswith("wss:") else ": with TLS it is wss://"
         return f"no HTTP is spoken there{tls}"
+    if said := refusal(error):
+        return f"it refuses: {said}"
     return redirection(error, server.url) or text_of(error)
 
 

@@ -28,6 +28,7 @@ from uoarm.bridge import (
     WorkerExecutor,
     asking_managers,
     redirection,
+    refusal,
     refuse_loop,
     renewed,
     text_of,
@@ -557,7 +558,8 @@ def _refusal(error: InvalidStatus) -> str:
         401: "it does not take the token, or wants one: `token_file`",
         403: "it does not let this manager in",
     }.get(status, "it refused")
-    return f"{why} (HTTP {status})"
+    said = refusal(error)
+    return f"{why} (HTTP {status}{said and f': {said}'})"
 
 
 _REASONS: Mapping[type[UoarmError], FailureReason] = {

@@ -17,7 +17,14 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 
-from uoarm.bridge import Backoff, Disconnection, close_in_children, redirection, tls_fault
+from uoarm.bridge import (
+    Backoff,
+    Disconnection,
+    close_in_children,
+    redirection,
+    refusal,
+    tls_fault,
+)
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -31,9 +38,7 @@ from uoarm_rosbridge.client._options import ClientOptions, ServerAccess
 
 Fields = Mapping[str, Any]
 
-_STEP_SECONDS = 4.0
-"""How long a step waits for the connection: less than the manager does, and its error says why."""
-
+_STEP_SECONDS = 4.0  # for the connection: less than the manager waits, and the error says why
 _CONNECT_SECONDS = 3.0
 _GOODBYE_SECONDS = 0.5
 _JOIN_SECONDS = 2.0
@@ -583,15 +588,12 @@ def _cause_of(error: Exception, url: str = "") -> str:
     if where := redirection(error, url):
         return where
     if isinstance(error, InvalidStatus):
-        status = error.response.status_code
-        hint = ": is the token right?" if status in _FINAL else ""
-        return f"the server answered the handshake with {status}{hint}"
+        said = refusal(error) or ("is the token right?" if _is_final(error) else "")
+        return f"the server answered with {error.response.status_code}{said and f': {said}'}"
     if isinstance(error, InvalidHandshake):
         return f"no WebSocket server answers there: {error}"
     if isinstance(error, TimeoutError):
         return "no answer in time"
-    if isinstance(error, ssl.SSLError):
-        return tls_fault(error)
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and not isinstance(error, ssl.SSLError):
         return error.strerror or str(error)
-    return str(error) or type(error).__name__
+    return tls_fault(error)
