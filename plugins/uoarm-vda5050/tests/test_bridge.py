@@ -16,7 +16,9 @@ from tests.inbox import health_events, until  # type: ignore[import-not-found]
 from uoarm_mqtt.connection import BrokerConnection
 from uoarm_vda5050.vehicle import Vehicle
 
-from fleet import bridge_to, driven, endpoint, goal
+from fleet import MAKER, bridge_to, driven, endpoint, goal
+from uoarm import RobotManager
+from uoarm.config import loads
 from uoarm.errors import BridgeError
 from uoarm.model import Health, MessageStructure
 from uoarm.testing import Background, Collector, patience, wait
@@ -188,6 +190,33 @@ def test_a_component_that_opens_learns_that_its_vehicle_is_not_well(broker: Brok
             assert (report.component, report.cause) == (component, degraded.cause)
         driver.vehicle.clear_error("wheelBroken")
         wait(lambda: len([event for event in events if event.health is Health.OK]) == 2)
+
+
+def test_a_user_sees_how_a_vehicle_is_that_is_called(broker: Broker) -> None:
+    text = "version: 1\nbridges: {fleet: {plugin: vda5050}}\nfunctions:\n" + "".join(
+        f"  {name}: {{components: [{{name: {name}, bridge: fleet, "
+        f"service: {{endpoint: [{MAKER}, called, transport]}}}}]}}\n"
+        for name in ("first", "second")
+    )
+    with (
+        bridge_to(broker) as bridge,
+        RobotManager(loads(text), bridges={"fleet": bridge}) as robot,
+        driven(broker, "called") as driver,
+    ):
+
+        def shown() -> list[tuple[str, Health]]:
+            return [(item.name, item.health) for item in robot.status().components]
+
+        robot.call("first", goal("a", "b"), timeout=patience())
+        assert shown() == []
+        driver.vehicle.raise_error("wheelBroken", "the left one", fatal=True)
+        wait(lambda: shown() == [("first", Health.DEGRADED)])
+        robot.call("second", goal("b", "c"), timeout=patience())
+        wait(lambda: shown() == [(name, Health.DEGRADED) for name in ("first", "second")])
+        driver.vehicle.clear_error("wheelBroken")
+        wait(lambda: not shown())
+        driver.vehicle.close()
+        wait(lambda: shown() == [(name, Health.FINISHED) for name in ("first", "second")])
 
 
 def test_vehicles_are_discovered_with_what_they_are(broker: Broker) -> None:

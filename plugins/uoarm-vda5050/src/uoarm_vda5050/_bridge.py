@@ -126,7 +126,11 @@ class Vda5050Bridge(Bridge):
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
         del structures
-        follower = self._follow(self._place(endpoint), endpoint)
+        place = self._place(endpoint)
+        is_known = endpoint.component in self._names.get(place.vehicle, ())
+        follower = self._follow(place, endpoint)
+        if not is_known:
+            follower.greet(endpoint.component)
         return call(endpoint, follower, message, timeout, self.cancelling)
 
     def _discover(self) -> tuple[Discovered, ...]:
