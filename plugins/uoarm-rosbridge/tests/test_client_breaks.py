@@ -14,6 +14,7 @@ from played import LISTEN, STRING, TALK, Played, asked, bridge_to
 from tests.inbox import health_events  # type: ignore[import-not-found]
 from tests.processes import ForkedProgram  # type: ignore[import-not-found]
 from tests.server.talk import eventually  # type: ignore[import-not-found]
+from uoarm_rosbridge.client._channels import ParameterSource
 from websockets.protocol import State
 
 from uoarm.bridge import Bridge
@@ -325,6 +326,19 @@ def test_a_parameter_that_is_gone_is_lost_alone_and_comes_back(played: Played) -
         played.answers["get_param"] = {"value": "8"}
         eventually(lambda: len(events) == 3, "it is there again")
         assert (events[2].component, events[2].health) == ("speed", Health.OK)
+
+
+def test_a_parameter_is_another_where_its_json_is(played: Played) -> None:
+    """To Python 1, 1.0 and true are equal, and NaN is not itself."""
+    played.answers["get_param"] = {"value": "7"}
+    with bridge_to(played.url, check=LONG) as bridge:
+        collector = Collector()
+        source = bridge.open_source(SPEED, structure(bridge, SPEED), collector.deliver)
+        assert isinstance(source, ParameterSource)
+        for value in ("1", "1.0", "true", "[NaN]", "[NaN]", "[1]", "[true]", "[true]"):
+            played.answers["get_param"] = {"value": value}
+            source.look()
+    assert str(collector.messages) == "[7, 1, 1.0, True, [nan], [1], [True]]"
 
 
 def test_a_message_that_is_too_large_is_a_loss_with_its_limit(played: Played) -> None:

@@ -273,7 +273,7 @@ class ParameterSource(Source):
                 self._is_lost = True
                 self._report(self, Health.LOST, str(error))
             raise
-        if value != self._last and not self.closed:
+        if not is_same(value, self._last) and not self.closed:
             self._last = value
             self._received += 1
             self._deliver(value)
