@@ -140,6 +140,19 @@ def test_changes_come_to_those_who_want_them(serve: Serve, robot: RobotManager) 
         assert not [other for other in viewer.others if other["op"] == "parameterValues"]
 
 
+@pytest.mark.parametrize("level", [True, 1.0])
+def test_a_value_of_another_type_is_a_change(
+    serve: Serve, robot: RobotManager, level: float
+) -> None:
+    with Viewer(serve()) as viewer:
+        values(viewer)
+        viewer.send("subscribeParameterUpdates", parameterNames=["/loose/level"])
+        values(viewer)  # it has been subscribed by then
+        robot.apply(loads(CONFIGURATION.replace("level: 1", f"level: {str(level).lower()}")))
+        (changed,) = viewer.until("parameterValues")["parameters"]
+        assert (changed["value"], type(changed["value"])) == (level, type(level))
+
+
 LEVEL_2 = CONFIGURATION.replace("level: 1", "level: 2")
 
 

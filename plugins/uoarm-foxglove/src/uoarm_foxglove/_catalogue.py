@@ -107,14 +107,15 @@ class VisibleListing:
         services: by number.
         inputs: by topic.
         graph: who publishes, subscribes and serves what, as the protocol has it.
-        parameters: of components, as the configuration in force has them, by name.
+        parameters: of components, as the configuration in force has them, by name: what states it,
+            as it is sent, by which 1 and true are two values.
     """
 
     channels: Mapping[int, OutputChannel]
     services: Mapping[int, RobotService]
     inputs: Mapping[str, InputTopic]
     graph: Mapping[str, list[dict[str, object]]]
-    parameters: Mapping[str, Any]
+    parameters: Mapping[str, bytes]
 
     def frames_after(self, former: VisibleListing) -> tuple[bytes, ...]:
         """Return what a viewer is sent that knows a former one."""
@@ -154,25 +155,21 @@ class VisibleListing:
     def parameters_after(self, former: VisibleListing, names: Collection[str]) -> bytes | None:
         """Return those of some names that are others than in a former listing; None: none are."""
         changed = {
-            name
-            for name in names
-            if self.parameters.get(name, _NO_VALUE) != former.parameters.get(name, _NO_VALUE)
+            name for name in names if self.parameters.get(name) != former.parameters.get(name)
         }
         return self.parameter_values(sorted(changed)) if changed else None
 
     def parameter_values(self, names: Collection[str] = (), **more: object) -> bytes:
         """Return the values of parameters; without names, of all. One that is gone has none."""
+        known = self.parameters
         stated = [
-            stated_parameter(name, self.parameters[name])
-            if name in self.parameters
-            else {"name": name}
-            for name in names or self.parameters
+            known[name] if name in known else TEXT_FORM.write({"name": name})
+            for name in names or known
         ]
-        # Not by `write`, which has no integer beyond 64 bits: a configuration may have one.
-        return TEXT_FORM.write({"op": "parameterValues", "parameters": stated, **more})
+        head = write("parameterValues", **more)
+        return b'%s,"parameters":[%s]}' % (head[:-1], b",".join(stated))
 
 
-_NO_VALUE = object()
 NOTHING = VisibleListing({}, {}, {}, {}, {})
 """What a viewer knows at first."""
 
@@ -334,9 +331,9 @@ class ChannelCatalogue:
         graph = _graph([item.function for item in seen], channels.values())
         components = (component for item in seen for component in item.function.components)
         parameters = {
-            f"/{component.name}/{name}": value
+            name: _stated_parameter(name, value)
             for component in components
-            for name, value in _flat(without_secrets(component.parameters))
+            for name, value in _flat(without_secrets(component.parameters), f"/{component.name}/")
         }
         made = VisibleListing(channels, services, inputs, graph, parameters)
         if former is not None and all(
@@ -351,13 +348,15 @@ def _announced(channel: OutputChannel) -> tuple[str, ...]:
     return channel.topic, *channel.codec.stated.values()
 
 
-def stated_parameter(name: str, value: Any) -> dict[str, object]:
+def _stated_parameter(name: str, value: Any) -> bytes:
     """Return a parameter as the protocol states it: floats have a type."""
+    stated = {"name": name, "value": value}
     if isinstance(value, float):
-        return {"name": name, "value": value, "type": "float64"}
-    if isinstance(value, list) and value and all(isinstance(item, float) for item in value):
-        return {"name": name, "value": value, "type": "float64_array"}
-    return {"name": name, "value": value}
+        stated["type"] = "float64"
+    elif isinstance(value, list) and value and all(isinstance(item, float) for item in value):
+        stated["type"] = "float64_array"
+    # Not by `write`, which has no integer beyond 64 bits: a configuration may have one.
+    return TEXT_FORM.write(stated)
 
 
 def _flat(parameters: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
