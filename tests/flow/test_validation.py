@@ -314,6 +314,21 @@ def tree(union: str, *order: str) -> MessageStructure:
     return MessageStructure({"$defs": {"node": forms}, "$ref": "#/$defs/node"})
 
 
+@pytest.mark.parametrize("rule", [["b"], {"required": ["b"]}])
+@pytest.mark.parametrize("more", [{}, {"type": "object", "properties": {"a": True, "b": True}}])
+def test_dependencies_of_older_drafts_hold_as_the_proof_has_them(
+    rule: Any, more: dict[str, Any]
+) -> None:
+    schema = {"dependencies": {"a": rule}, **more}
+    assert verdict_of({"const": {"a": 1}}, schema).incompatible
+    checker = make_check(MessageStructure(schema), ValidationMode.ALWAYS, "old")
+    assert checker is not None
+    checker({"a": 1, "b": 2})
+    checker({"b": 2})
+    with pytest.raises(MessageError, match=r"old: .*b"):
+        checker({"a": 1})
+
+
 CENTS = {"type": "number", "multipleOf": 0.01}
 
 

@@ -15,7 +15,7 @@ from fractions import Fraction
 from functools import cache
 from typing import Any, TypeAlias, cast
 
-from jsonschema import Draft202012Validator, validators
+from jsonschema import Draft7Validator, Draft202012Validator, validators
 from jsonschema.exceptions import ValidationError
 from jsonschema.protocols import Validator
 
@@ -136,6 +136,8 @@ def _kind() -> type[Validator]:
             "const": lambda validator, value, *rest: _enumerated(validator, [value], *rest),
             "$ref": _reference,
             "multipleOf": _bounded(_is_multiple),
+            # Of drafts before 2019-09: in a structure the proof reads it so, too.
+            "dependencies": Draft7Validator.VALIDATORS["dependencies"],
             **ranges,
             **sizes,
             **units,
