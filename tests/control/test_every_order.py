@@ -114,18 +114,27 @@ def saying(path: tuple[str, ...]) -> Iterator[None]:
         raise AssertionError(" | ".join(path)) from error
 
 
+def worlds(few: int, many: int) -> pytest.MarkDecorator:
+    """Run a test with a few worlds, and at length with many."""
+    return pytest.mark.parametrize("most", [few, pytest.param(many, marks=pytest.mark.long)])
+
+
+@worlds(300, 30_000)
 @pytest.mark.parametrize("robot", PLANS)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_whatever_the_order_nothing_is_left_open_or_unanswered(robot: str, policy: str) -> None:
+def test_whatever_the_order_nothing_is_left_open_or_unanswered(
+    robot: str, policy: str, most: int
+) -> None:
     first = World(PLANS[robot], POLICIES[policy])
-    assert explore(first, depth=12, most=600) == 600
+    assert explore(first, depth=20, most=most) == most
 
 
+@worlds(125, 2_500)
 @pytest.mark.parametrize("change", CHANGED)
 @pytest.mark.parametrize("robot", PLANS)
 @pytest.mark.parametrize("policy", ["failover", "none", "waits"])
 def test_whatever_the_order_a_change_of_configuration_ends_well(
-    robot: str, policy: str, change: str
+    robot: str, policy: str, change: str, most: int
 ) -> None:
     first = World(PLANS[robot], POLICIES[policy])
     first.request("c1", "face")
@@ -138,16 +147,17 @@ def test_whatever_the_order_a_change_of_configuration_ends_well(
         ):
             break
     first.configure(CHANGED[change][PLANS[robot].text])
-    assert explore(first, depth=12, most=250) == 250
+    assert explore(first, depth=12, most=most) == most
 
 
+@worlds(150, 3_000)
 @pytest.mark.parametrize("robot", PLANS)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_whatever_the_order_candidates_come_and_go(robot: str, policy: str) -> None:
+def test_whatever_the_order_candidates_come_and_go(robot: str, policy: str, most: int) -> None:
     first = World(SEEN[PLANS[robot].text], POLICIES[policy])
     first.dead = frozenset({"best", "spare"})
     first.request("c1", "face")  # with the camera that was discovered
-    assert explore(first, depth=12, most=300, candidates=True) == 300
+    assert explore(first, depth=12, most=most, candidates=True) == most
 
 
 @pytest.mark.parametrize("robot", PLANS)
@@ -160,14 +170,6 @@ def test_what_began_with_a_spare_and_runs_on_the_best_comes_to_rest(robot: str) 
         dict(moves(world))[name](world)
     world.settle()
     world.check_at_rest()
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("robot", PLANS)
-@pytest.mark.parametrize("policy", POLICIES)
-def test_every_order_to_a_greater_depth(robot: str, policy: str) -> None:
-    first = World(PLANS[robot], POLICIES[policy])
-    assert explore(first, depth=20, most=30_000) == 30_000
 
 
 class Walk(RuleBasedStateMachine):
