@@ -323,9 +323,9 @@ def _beside(file: str) -> Path:
     """Return where the lock of a configuration is.
 
     Raises:
-        ConfigurationError: there is no such configuration.
+        ConfigurationError: there is no such file.
     """
-    if not os.path.exists(file):
+    if not os.path.isfile(file):
         load(file)
     return lock_path(file)
 
