@@ -38,7 +38,9 @@ from uoarm_rocos._transport import LineTransport
 from uoarm_rocos.devices._blood_pressure import Monitor
 from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, SimulatedRobot, TcpEnd, robot_catalogue
 
+from uoarm import RobotManager
 from uoarm.bridge import Backoff
+from uoarm.config import loads
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
 from uoarm.testing import Background, Collector, slowness, wait
@@ -244,6 +246,35 @@ def test_a_service_is_well_again_only_with_the_catalogue_that_it_was_described_w
         ):
             with running(server(catalogue), TcpEnd(port_of(url))):
                 assert judged().health is health
+
+
+CALLED = """
+version: 1
+bridges: {rocos: {plugin: rocos, options: {devices: {robot: {url: "tcp://127.0.0.1:1"}}}}}
+functions:
+  echo: {components: [{name: echo, bridge: rocos, service: {endpoint: [robot, echo]}}]}
+"""
+
+
+def test_a_user_sees_how_a_device_is_that_is_called() -> None:
+    with ExitStack() as stack:
+        with running(server(), TcpEnd()) as url:
+            bridge, _ = stack.enter_context(bridged(robot={"url": url, "grace": 0.3}))
+            manager = stack.enter_context(RobotManager(loads(CALLED), bridges={"rocos": bridge}))
+
+            def shown() -> list[str]:
+                return [
+                    f"{item.health.value}: {item.cause}" for item in manager.status().components
+                ]
+
+            manager.call("echo", {"text": "hi"}, timeout=LIMIT)
+            assert shown() == []
+        wait(lambda: str(shown()).startswith("['lost: disconnected: the line to robot is lost"))
+        with running(server(other_catalogue()), TcpEnd(port_of(url))):
+            wait(lambda: "API 'echo' changed" in str(shown()))
+        with running(server(robot_catalogue()), TcpEnd(port_of(url))):
+            wait(lambda: not shown())
+            manager.call("echo", {"text": "hi"}, timeout=LIMIT)
 
 
 def test_a_serial_device_may_be_unplugged_and_plugged_in_elsewhere(tmp_path: Path) -> None:
