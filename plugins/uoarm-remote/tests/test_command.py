@@ -89,6 +89,16 @@ def test_a_redirection_is_said_with_what_to_do(
     assert "not reached: it redirects: give ws://robot.example/ros/ as the address" in shown
 
 
+def test_tls_that_is_not_asked_for_is_said_with_what_to_do(
+    robot: ServedRobot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    secured = ServerOptions(port=0, own_certificate=True)
+    with serve_in_thread(robot.manager, secured) as server:
+        assert fleet(desk(tmp_path, first=f"ws://localhost:{server.ports[0]}/")) == 4
+    shown = capsys.readouterr().out
+    assert "not reached: no HTTP/1.1 is spoken there: with TLS it is wss://" in shown
+
+
 def test_a_certificate_that_has_ended_asks_for_no_fingerprint() -> None:
     why = "its certificate is not trusted: certificate has expired; renew it there, or look at"
     error = ssl.SSLCertVerificationError(1, "x")

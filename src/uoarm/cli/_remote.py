@@ -196,7 +196,7 @@ def _cause(error: Exception, server: Remote) -> str:
         if server.certificate is not None:
             return "it ends the connection: it may not accept --certificate, or that has ended"
         tls = "" if server.url.startswith("wss:") else ": with TLS it is wss://"
-        return f"no HTTP is spoken there{tls}"
+        return f"no HTTP/1.1 is spoken there{tls}"
     if said := refusal(error):
         return f"it refuses: {said}"
     return redirection(error, server.url) or text_of(error)

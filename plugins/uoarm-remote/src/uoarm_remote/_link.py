@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from websockets.exceptions import InvalidHandshake, InvalidStatus
+from websockets.exceptions import InvalidHandshake, InvalidMessage, InvalidStatus
 
 from uoarm.bridge import (
     Backoff,
@@ -534,6 +534,9 @@ def why_unreachable(error: BaseException, url: str) -> str:
         return where
     if isinstance(error, InvalidStatus):
         return _refusal(error)
+    if isinstance(error, InvalidMessage):
+        tls = ": with TLS it is wss://" if url.startswith("ws:") else ""
+        return f"no HTTP/1.1 is spoken there{tls}"
     if isinstance(error, ConnectionRefusedError):
         return "nothing listens there: does `uoarm serve` run?"
     return tls_fault(error, "compare `fingerprint` with what `uoarm serve` prints there")
