@@ -97,7 +97,7 @@ class Reports(RuleBasedStateMachine):
 
 
 TestReports = Reports.TestCase
-TestReports.settings = settings(stateful_step_count=30, max_examples=60)
+TestReports.settings = settings(stateful_step_count=30, max_examples=200)
 
 
 def test_a_report_of_one_service_costs_the_same_beside_few_and_beside_many() -> None:
