@@ -47,6 +47,12 @@ test("what died is shown with its cause until it runs again", () => {
   assert.equal(join(FUNCTIONS, STATUS, events).functions[0].health, "ok");
 });
 
+test("a service that is known as lost does not run", () => {
+  const gone = { ...component("haar", "faces", []), health: "lost", cause: "there is no such service", failed: 2 };
+  const [, row] = join(FUNCTIONS, { ...NOTHING, components: [gone] }).functions[1].rows;
+  assert.deepEqual([row.open, row.health, row.cause, row.failed], [false, "lost", "there is no such service", 2]);
+});
+
 test("who raises is marked with its exception, and no neighbour is", () => {
   const thrower = { ...component("haar", "faces", ["c1"]), health: "degraded", cause: "its input raised", failed: 3,
     last_error: "KeyError: 'ranges'" };

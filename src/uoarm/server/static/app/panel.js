@@ -63,7 +63,7 @@ const Part = ({ row }) => html`
       ["received", row.open ? short(row.received) : ""],
       ["dropped", row.open ? short(row.lost) : ""],
       ["invalid", row.open ? short(row.invalid) : ""],
-      ["raised on", row.open ? short(row.failed) : ""],
+      ["raised on", row.open || row.failed ? short(row.failed) : ""],
       ["used by", row.users.join(", ")],
       ...row.commands.map((input) => [`input ${input.name}`, command(input)]),
     ]} />

@@ -59,7 +59,7 @@ function withRows(described, open, routes, deaths) {
     const users = live?.users ?? [];
     const recorded = part.plugin === "recording";
     const own = { recorded, failed: live?.failed ?? 0, error: live?.last_error ?? "", commands: commandsOf(live) };
-    return { ...part, open: Boolean(live), health, cause, users, ...flowOf(componentId(part.name), routes), ...own };
+    return { ...part, open: Boolean(live) && health !== "lost", health, cause, users, ...flowOf(componentId(part.name), routes), ...own };
   });
   return { ...described, rows, health: worst(rows.map((row) => row.health)) };
 }
