@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 from collections.abc import Callable
-from importlib.metadata import EntryPoint
+from importlib.metadata import Distribution, EntryPoint
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -65,6 +67,21 @@ def test_help_lists_them_all_and_loads_none() -> None:
     shown = CliRunner().invoke(main, ["--help"])
     assert shown.exit_code == 0
     assert "gone" in shown.output
+
+
+def test_help_names_the_distribution_that_brings_a_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed = tmp_path / "uoarm_fleet_tools-1.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: uoarm-fleet-tools\nVersion: 1\n"
+    )
+    (installed / "entry_points.txt").write_text("[uoarm.commands]\nships = no_such_module\n")
+    points = Distribution.at(installed).entry_points
+    monkeypatch.setattr(_main, "entry_points", lambda group: points)
+    shown = CliRunner().invoke(main, ["--help"])
+    assert re.search(r"ships +Of the plugin uoarm-fleet-tools\.", shown.output)
 
 
 @pytest.mark.parametrize(

@@ -217,7 +217,7 @@ def _fail_with_usage(error: click.UsageError, *, as_json: bool) -> NoReturn:
 def _command(point: EntryPoint) -> click.Command:
     @click.command(
         point.name,
-        help=f"Commands of the plugin {point.name}.",
+        help=f"Of the plugin {point.dist.name if point.dist else point.name}.",
         add_help_option=False,
         context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
     )
