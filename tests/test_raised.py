@@ -9,7 +9,7 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -127,14 +127,15 @@ def grouped(depth: int) -> BaseException:
 
 
 @pytest.mark.parametrize(
-    "error",
-    [ValueError("x" * 50_000_000), chained(100_000), grouped(60)],
+    "make",  # as it is needed, not by each worker that collects
+    [lambda: ValueError("x" * 50_000_000), lambda: chained(100_000), lambda: grouped(60)],
     ids=["text", "chain", "group"],
 )
 def test_the_record_of_an_error_is_bounded_whatever_is_in_it(
-    error: BaseException, caplog: pytest.LogCaptureFixture
+    make: Callable[[], BaseException], caplog: pytest.LogCaptureFixture
 ) -> None:
     """A group of two that are the same, sixty times over, has more members than memory has room."""
+    error = make()
     try:
         quit_with(error)
     except Exception as raised:  # noqa: BLE001 - as it was given
