@@ -239,6 +239,11 @@ def test_of_every_address_those_are_reported_that_can_be_opened(
     rests = f"or a certificate that rests on {authority.absolute()}\n"
     assert f"(uoarm token makes one), {rests}" in named
     assert "listening on" not in named
+    warning = "through a proxy as robot.example may do everything: --access asks for tokens"
+    _serve.say(server, evolve(settings, host="127.0.0.1", hosts=("robot.example",)))
+    assert warning not in capsys.readouterr().err
+    _serve.say(server, evolve(settings, host="127.0.0.1", hosts=("robot.example",), access=None))
+    assert warning in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["--port", "--front-end-port lines=PORT"])

@@ -459,4 +459,8 @@ def say(server: Server, settings: ServerOptions, *, err: bool = False) -> None:
         if settings.client_authority is not None:
             proof += f", or a certificate that rests on {settings.client_authority}"
         echo(f"every client needs {proof}", err=err)
+    elif settings.hosts:
+        names = ", ".join(settings.hosts)
+        text = f"clients that come through a proxy as {names} may do everything"
+        print_warning(f"{text}: --access asks for tokens")
     echo(f"open http{s}://{main}/ in a browser", err=err)

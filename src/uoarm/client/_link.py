@@ -6,7 +6,7 @@ Where the session is gone, as after a restart of the server, a new one is begun,
 from __future__ import annotations
 
 import asyncio
-import random
+import secrets
 import threading
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
@@ -52,7 +52,7 @@ Take = Callable[[Mapping[str, Any]], None]
 
 def _backoff() -> Backoff:
     # Clients that lost the same server come back at different moments.
-    return Backoff(first=0.05, most=5.0, jitter=0.5, seed=random.getrandbits(32))
+    return Backoff(first=0.05, most=5.0, jitter=0.5, seed=secrets.randbits(32))
 
 
 @define(eq=False)
