@@ -242,6 +242,7 @@ def test_a_call_ends_without_a_measurement_and_when_the_cable_is_out() -> None:
     with PseudoTerminal() as device:
         cuff: dict[str, object] = {"driver": "and-ua767pbt", "url": device.path}
         with bridged(cuff=cuff) as (bridge, _):
+            bridge.describe(PRESSURE)  # which waits for the device, as the short call cannot
             with pytest.raises(BridgeTimeoutError):
                 bridge.call(PRESSURE, {}, timeout=0.2)
             monitor = bridge._devices["cuff"]  # type: ignore[attr-defined]  # no public way to see
