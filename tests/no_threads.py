@@ -10,12 +10,12 @@ import pytest
 
 
 @contextmanager
-def no_threads(names: str = "") -> Iterator[None]:
-    """Have the system give no thread whose name has this in it."""
+def no_threads(names: str = "", *, but: str = "no such") -> Iterator[None]:
+    """Have the system give no thread whose name has this in it, and nothing of `but`."""
     starts = threading.Thread.start
 
     def start(thread: threading.Thread) -> None:
-        if names in thread.name:
+        if names in thread.name and but not in thread.name:
             raise RuntimeError("can't start new thread")
         starts(thread)
 

@@ -19,7 +19,15 @@ from uoarm.bridge._watchdog import Watchdog
 from uoarm.cli._announce import Announcement
 from uoarm.config import loads
 from uoarm.local._loop import LoopThread
-from uoarm.model import CommandPhase, CommandPolicy, Health, Message, QueuePolicy, StopMessage
+from uoarm.model import (
+    CommandPhase,
+    CommandPolicy,
+    ConnectionState,
+    Health,
+    Message,
+    QueuePolicy,
+    StopMessage,
+)
 from uoarm.server import ServerOptions, serve_in_thread
 from uoarm.testing import ManualClock, MemoryBridge, ResourceSnapshot, patience, wait
 
@@ -208,3 +216,33 @@ def test_a_command_says_that_there_is_no_thread(tmp_path: Path) -> None:
             "see ulimit -a and systemd's TasksMax\nuoarm explain UOA-001 says more\n"
         ), words
         assert "Traceback" not in said, words
+
+
+def test_a_request_fails_at_once_where_only_its_own_thread_is_to_be_had(tmp_path: Path) -> None:
+    """What failed to open is sought again and closed in the thread that waits for the request."""
+    (tmp_path / "robot.yaml").write_text(PARTS)
+    hinted = "from typing import Iterator\ndef one() -> Iterator[int]:\n    yield 1\n"
+    (tmp_path / "thread_parts.py").write_text(f"{hinted}def take(value): ...\n")
+    program = (
+        "from tests.no_threads import no_threads\nfrom uoarm.cli import main\n"
+        "with no_threads(but='uoarm-step'): main(['request', 'one', '-n', '1'])"
+    )
+    done = run_python("-c", program, cwd=tmp_path, env={"PYTHONPATH": str(ROOT)})
+    assert done.stderr.endswith(
+        "thread_parts:one'] failed: RuntimeError: can't start new thread\n"
+        "uoarm explain UOA-409 says more\n"
+    )
+    assert done.returncode == 4
+
+
+def test_what_found_no_thread_is_done_by_who_closes() -> None:
+    bridge = MemoryBridge("one", {})
+    bridge.taker("left", NUMBER)
+    text = f"{MOTORS}failover: {{enabled: false}}\n"
+    with RobotManager(loads(text), bridges={"one": bridge}) as robot:
+        connection = robot.request("left")
+        with no_threads():
+            bridge.report(Health.LOST, "it was unplugged")
+            states = [connection.state]
+            connection.close()
+            assert [*states, connection.state] == [ConnectionState.CLOSING, ConnectionState.FAILED]

@@ -317,9 +317,11 @@ def seek_plan(draft: Draft, record: ConnectionRecord) -> None:
     runs = (
         () if move.rule.is_beside else [name for name, id_ in ids.items() if id_ not in move.lost]
     )
+    # A request seeks in the thread that waits for it: there may be no other.
+    user = f"{record.id}#{record.attempt}"
     draft.do(
         act.FindReplacement(
-            lane=f"switchover {move.group}" if move.group else f"{record.id}#{record.attempt}",
+            lane=f"switchover {move.group}" if move.group else record.waiter or user,
             connection=record.id,
             attempt=record.attempt,
             plan=record.placement.plan,
@@ -362,7 +364,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ev.ReplacementSought) -
     # request that waits for its reply learns at once what it cannot have.
     if draft.now >= until or record.waiter:
         text = f"{move.cause}; nothing takes over: {event.error}"
-        end(draft, record, ConnectionState.FAILED, text, error=move.error)
+        end(draft, record, ConnectionState.FAILED, text, record.waiter, error=move.error)
         return
     # Looking takes processor time and asks frameworks: who waits for long looks more seldom.
     pause = max(_AGAIN_SECONDS, min((draft.now - move.since) / _SHARE, _SELDOM_SECONDS))

@@ -271,6 +271,9 @@ class Driver:
             # reply that went there.
             self._lanes.reserve(event.waiter)
             self._take(event)
+            with suppress(IndexError):  # another thread may do some, too
+                while self._unstarted:  # for which no thread was to be had
+                    self._unstarted.popleft()()
             self._lanes.drive(event.waiter)
 
     def report(self, event: HealthEvent, *, is_avoided: bool = False) -> None:
