@@ -355,13 +355,14 @@ def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(
         robot.record("counter", "counter", path=tmp_path / "run.mcap")
     with pytest.raises(UsageError, match="expected a text"):
         robot.record(["counter"], path=tmp_path / "run.mcap")  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="is a folder"):
-        robot.record("counter", path=tmp_path)
-    with pytest.raises(UsageError, match="is no regular file"):
-        robot.record("counter", path=os.devnull)
-    for name in ("x" * 300, "a\0b"):
-        with pytest.raises(UsageError, match="cannot be made"):
-            robot.record("counter", path=tmp_path / name)
+    for ring in (None, 5.0):
+        with pytest.raises(UsageError, match="is a folder"):
+            robot.record("counter", path=tmp_path, ring=ring)
+        with pytest.raises(UsageError, match="is no regular file"):
+            robot.record("counter", path=os.devnull, ring=ring)
+        for name in ("x" * 300, "a\0b"):
+            with pytest.raises(UsageError, match="cannot be made"):
+                robot.record("counter", path=tmp_path / name, ring=ring)
     assert list(tmp_path.iterdir()) == []
     assert robot.connections() == ()
 

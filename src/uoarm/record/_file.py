@@ -77,6 +77,17 @@ def _create(path: Path) -> tuple[Path, int]:
     raise AssertionError("numbers do not end")
 
 
+def require_room(path: Path) -> None:
+    """Make a file as it will be made later, and take it away.
+
+    Raises:
+        UsageError: none can be made there.
+    """
+    place, file = _create(path)
+    os.close(file)
+    place.unlink()
+
+
 class _Output:
     """The file: nothing is kept back, and what is whole is known.
 

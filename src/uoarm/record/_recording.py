@@ -35,6 +35,7 @@ from uoarm.record._file import (
     event_message,
     gap_message,
     require_mcap,
+    require_room,
 )
 from uoarm.record._forms import EVENTS, form_of, ros_events
 from uoarm.record._options import (
@@ -124,6 +125,8 @@ class Recording:
         if options.ring is None:
             # Before anything is opened: a path that cannot be written costs no connection.
             self._file = self._begin_file()
+        else:
+            require_room(path)
         self._thread = threading.Thread(target=self._run, name="uoarm-recording", daemon=True)
         # Two: a second Ctrl-C leaves a kill that hangs, and no file.
         with on_failure(self._discard), on_failure(self._kill):
