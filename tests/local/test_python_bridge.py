@@ -190,7 +190,11 @@ def test_what_a_hint_leaves_open_the_configuration_may_declare() -> None:
     [
         ("no_such_module_here:x", FailureReason.NOT_FOUND, "no module 'no_such_module_here'"),
         (f"{HERE}:chang", FailureReason.NOT_FOUND, "did you mean 'change'"),
-        (f"{HERE}:NOT_CALLABLE", FailureReason.BAD_ENDPOINT, "expected a function or a class"),
+        (
+            f"{HERE}:NOT_CALLABLE",
+            FailureReason.BAD_ENDPOINT,
+            "is of type int: expected a function or",
+        ),
         ("nothing", FailureReason.BAD_ENDPOINT, "module:attribute"),
         ("eye.py:Eye", FailureReason.BAD_ENDPOINT, "as `import` does, not as a file: 'eye'"),
         ("./eye.py:Eye", FailureReason.BAD_ENDPOINT, "as `import` does, not as a file: 'eye'"),

@@ -339,7 +339,7 @@ class Target:
         if isinstance(written, staticmethod | classmethod) or not (
             found is None or callable(found)
         ):
-            text = f"{self.name}.{name} is a {kind}: a port needs a method, which takes self first"
+            text = f"{self.name}.{name} is of type {kind}: a port needs a method, with self first"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         return found
 
@@ -485,7 +485,7 @@ def find(address: Sequence[str], modules: Modules) -> Target:
         )
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
     if not callable(value):
-        text = f"{name} is a {type(value).__name__}: expected a function or a class"
+        text = f"{name} is of type {type(value).__name__}: expected a function or a class"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
     return Target(name, value)
 

@@ -341,13 +341,13 @@ class Ros2Graph:
         if name in known:
             return ""
         listings = {
-            "topic": self._runner.topics,
-            "service": self._runner.services,
-            "action": self._runner.actions,
+            "a topic": self._runner.topics,
+            "a service": self._runner.services,
+            "an action": self._runner.actions,
         }
         for kind, listing in listings.items():
             if types := listing().get(name):
-                return f"; there is a {kind} of that name, of type {', '.join(types)}"
+                return f"; there is {kind} of that name, of type {', '.join(types)}"
         return ""
 
     def servers_named(self) -> list[str]:
