@@ -407,6 +407,19 @@ def test_names_that_never_come_are_not_asked_for_again_and_again(orb: Orb) -> No
     assert NamingService(orb, served_context(orb), ANSWERS).names() == []
 
 
+def test_names_that_are_left_out_are_said_once(
+    orb: Orb, names: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    service = NamingService(orb, names, ANSWERS)
+    for number in range(4):
+        service.bind(f"Part{number}.rtc", orb.reference(corbaloc(names)))
+    monkeypatch.setattr(_naming, "_MOST_NAMES", 3)
+    assert [len(service.names()) for _ in range(2)] == [3, 3]
+    assert [record.message for record in caplog.records] == [
+        f"naming service {names}: only 3 of its names are seen"
+    ]
+
+
 def test_a_naming_service_that_takes_its_time_for_each_name_has_a_limit(
     orb: Orb, names: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

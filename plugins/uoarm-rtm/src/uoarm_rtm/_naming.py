@@ -7,6 +7,7 @@ contexts that contain each other.
 
 from __future__ import annotations
 
+import logging
 import re
 import time
 from collections.abc import Callable, Iterable
@@ -20,6 +21,7 @@ from omniORB import CORBA, URI
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._orb import MOST_CONNECTIONS, Orb, corba_errors, limit, narrowed
 
+_log = logging.getLogger("uoarm.rtm")
 _BATCH = 200
 _MOST_NAMES = 10_000
 _MOST_CONTEXTS = 1_000
@@ -107,6 +109,7 @@ class NamingService:
         self._corbaloc = corbaloc(address)
         self._seconds = seconds
         self._what = f"naming service {address}"
+        self._is_cut = False
 
     @_afresh
     def names(self, before: Iterable[Name] = ()) -> list[Name]:
@@ -122,6 +125,10 @@ class NamingService:
         found += [
             name for name in before if name.path.startswith(tuple(gone)) and name.path not in there
         ]
+        is_cut = len(found) >= _MOST_NAMES
+        if is_cut and not self._is_cut:
+            _log.warning("%s: only %s of its names are seen", self._what, f"{_MOST_NAMES:,}")
+        self._is_cut = is_cut
         return found[:_MOST_NAMES]
 
     @_afresh
