@@ -171,7 +171,9 @@ def serve(
                 announcement.start(server.ports[0])
             # Not before: what cannot be served starts no part of the robot. Beside the server,
             # which answers while what is recorded opens.
-            threading.Thread(target=_begin, args=(manager,), daemon=True).start()
+            threading.Thread(
+                target=_begin, args=(manager,), name="uoarm-serve-begin", daemon=True
+            ).start()
 
         try:
             with _reloading(manager, watch=watch_config), announcement or nullcontext():

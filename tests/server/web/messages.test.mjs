@@ -85,6 +85,7 @@ test("a line keeps its last points only", () => {
 
 test("numbers and times are short", () => {
   assert.deepEqual([0, 999, 1234, 1.5e6, -2e9, null].map(short), ["0", "999", "1.23 k", "1.5 M", "-2 G", "–"]);
+  assert.deepEqual([1e40, -1.7e308, 5e20].map(short), ["1e+40", "-1.7e+308", "500000000000 G"]);
   assert.deepEqual([0.0124, 0.9996, 59, 61, 7200, null].map(span), ["12 ms", "1 s", "59 s", "1 min", "2 h", "–"]);
   assert.equal(rate(24.96), "25/s");
 });

@@ -6,7 +6,8 @@ const UNITS = [[1e9, "G"], [1e6, "M"], [1e3, "k"]];
 /** 1234567 as "1.23 M"; what is below a thousand keeps at most three figures. */
 export function short(number) {
   if (number === null || number === undefined) return "–";
-  const [size, unit] = UNITS.find(([limit]) => Math.abs(number) >= limit) ?? [1, ""];
+  const given = Math.abs(number) < 1e21 && UNITS.find(([limit]) => Math.abs(number) >= limit);
+  const [size, unit] = given || [1, ""]; // beyond, as "1e+40"
   const text = Number((number / size).toPrecision(3)).toString();
   return unit ? `${text} ${unit}` : text;
 }
