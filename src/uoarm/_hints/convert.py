@@ -39,6 +39,7 @@ from uoarm._hints.schemas import (
     is_plain,
     is_record,
     signature,
+    type_hints,
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message, octets_of
@@ -181,13 +182,13 @@ def _path_to_fault(hint: Any, value: Any) -> list[str]:
     """Return the fields that lead to what cannot be written, which cattrs does not name."""
     parts: dict[str, tuple[Any, Any]] = {}
     if is_record(value.__class__) and not is_model(value.__class__):
-        hints = get_type_hints(value.__class__, include_extras=True)
+        hints = type_hints(value.__class__, include_extras=True)
         parts = {name: (item, getattr(value, name, None)) for name, item in hints.items()}
     elif isinstance(value, list | tuple):
         inner = (*get_args(hint), Any)[0]
         parts = {str(number): (inner, item) for number, item in enumerate(value)}
     elif isinstance(value, dict):
-        hints = get_type_hints(hint, include_extras=True) if is_typeddict(hint) else {}
+        hints = type_hints(hint, include_extras=True) if is_typeddict(hint) else {}
         inner = (*get_args(hint), Any)[-1]
         parts = {str(name): (hints.get(name, inner), item) for name, item in value.items()}
     for name, (part, item) in parts.items():
@@ -387,7 +388,7 @@ def _fields(kind: Any, made: Converter, *, is_read: bool) -> dict[str, Any]:
     """Return the hooks of fields whose hints say more than cattrs would see, or could take."""
     from cattrs.gen import override  # noqa: PLC0415 - slow import
 
-    full, bare = get_type_hints(kind, include_extras=True), get_type_hints(kind)
+    full, bare = type_hints(kind, include_extras=True), get_type_hints(kind)
     late = _late(kind, full)
     inner = {
         name: plainer

@@ -18,12 +18,11 @@ from typing import (
     Union,
     get_args,
     get_origin,
-    get_type_hints,
 )
 from weakref import WeakKeyDictionary
 
 import attrs
-from typing_extensions import NotRequired, ReadOnly, Required, is_typeddict
+from typing_extensions import NotRequired, ReadOnly, Required, get_type_hints, is_typeddict
 
 from uoarm._hints.arrays import (
     HintError,
@@ -246,6 +245,28 @@ def _hints_of(kind: Any) -> Mapping[str, Any]:
     return found
 
 
+def type_hints(value: Any, *, include_extras: bool = False) -> dict[str, Any]:
+    """Return the type hints of a class or a callable, with what text within them names."""
+    found = get_type_hints(value, include_extras=include_extras)
+    if sys.version_info >= (3, 11):
+        return found
+    names = vars(sys.modules.get(value.__module__, typing))
+    return {name: _named(hint, names) for name, hint in found.items()}
+
+
+def _named(hint: Any, names: dict[str, Any]) -> Any:
+    """Return a hint without text: CPython 3.10 leaves that of `list["Part"]` as it is."""
+    if isinstance(hint, types.UnionType):
+        return reduce(operator.or_, (_named(item, names) for item in hint.__args__))
+    if type(hint) is not types.GenericAlias:
+        return hint
+    inner = (
+        eval(item, names) if isinstance(item, str) else _named(item, names)  # noqa: S307 - a hint
+        for item in hint.__args__
+    )
+    return types.GenericAlias(hint.__origin__, tuple(inner))  # type: ignore[arg-type]
+
+
 def read_hints(value: Any, what: str) -> dict[str, Any]:
     """Return the type hints of a class or a callable, by name.
 
@@ -257,7 +278,7 @@ def read_hints(value: Any, what: str) -> dict[str, Any]:
         HintError: one of them cannot be evaluated, now at least.
     """
     try:
-        return get_type_hints(value, include_extras=True)
+        return type_hints(value, include_extras=True)
     except Exception as error:
         text = f"{what} cannot be read: {text_of(error)}"
         if isinstance(error, NameError):
