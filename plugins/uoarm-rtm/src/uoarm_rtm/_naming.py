@@ -7,7 +7,6 @@ contexts that contain each other.
 
 from __future__ import annotations
 
-import logging
 import re
 import time
 from collections.abc import Callable, Iterable
@@ -18,10 +17,11 @@ import CosNaming
 from attrs import frozen
 from omniORB import CORBA, URI
 
+from uoarm.bridge import Log
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._orb import MOST_CONNECTIONS, Orb, corba_errors, limit, narrowed
 
-_log = logging.getLogger("uoarm.rtm")
+_log = Log("uoarm.rtm")
 _BATCH = 200
 _MOST_NAMES = 10_000
 _MOST_CONTEXTS = 1_000
