@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -246,3 +248,17 @@ def test_what_found_no_thread_is_done_by_who_closes() -> None:
             states = [connection.state]
             connection.close()
             assert [*states, connection.state] == [ConnectionState.CLOSING, ConnectionState.FAILED]
+
+
+def test_who_closes_may_take_what_the_timer_was_about_to_start() -> None:
+    class Taken(deque[Callable[[], None]]):
+        """Not empty at the first look, and empty at the second one."""
+
+        def __len__(self) -> int:
+            return 1
+
+    with RobotManager(loads("version: 1\nbridges: {}\nfunctions: {}\n")) as robot:
+        driver = robot._driver
+        driver._unstarted = Taken()
+        driver._reach_time()
+        driver._unstarted = deque()

@@ -106,7 +106,7 @@ class Driver:
         self._workers = WorkerPool("uoarm-lane", _LANES, patience=_PATIENCE_SECONDS)
         self._lanes = Lanes(self._start)
         self._event_log = EventLog(self._lanes)
-        # Lanes for which there was no thread; appended by any thread, taken by the timer's.
+        # Lanes for which there was no thread; appended by any, taken by the timer and who closes.
         self._unstarted: deque[Job] = deque()
         self.timer = Timer(clock, self._reach_time)
         self.when_changed: Callable[[], None] = lambda: None
@@ -589,8 +589,9 @@ class Driver:
                 self.timer.wake_at(self._clock() + _AGAIN_SECONDS)
 
     def _reach_time(self) -> None:
-        for _ in range(len(self._unstarted)):
-            self._start(self._unstarted.popleft())
+        with suppress(IndexError):  # who closes may take some meanwhile
+            for _ in range(len(self._unstarted)):
+                self._start(self._unstarted.popleft())
         self.post(ev.TimeReached())
 
 
