@@ -14,6 +14,7 @@ from tests.processes import lives, run_program
 
 import uoarm
 from uoarm import environments
+from uoarm.bridge import _registry
 from uoarm.cli import main
 from uoarm.environments import _environment
 from uoarm.errors import PluginError
@@ -54,8 +55,33 @@ def test_an_environment_for_the_python_bridge_needs_this_same_uoarm_only() -> No
     assert only.startswith(("uoarm[hosts] @ file://", f"uoarm[hosts]=={uoarm.__version__}"))
 
 
-def test_a_plugin_that_is_not_installed_here_is_taken_from_the_index_with_its_extra() -> None:
+def test_a_plugin_that_is_not_installed_here_is_taken_from_the_index_with_its_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(_registry._KNOWN, "absent", ("uoarm-absent", ""))
     assert environments.requirements("absent", "jazzy")[1:] == ("uoarm-absent[jazzy]",)
+
+
+@pytest.mark.parametrize(
+    ("plugin", "hint"),
+    [("mqqt", "did you mean 'mqtt'?"), ("gripper", "of others it is added by --with uoarm-grip")],
+)
+def test_what_nothing_knows_is_not_asked_of_an_index(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plugin: str, hint: str
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    _fake_uv(tmp_path, "")
+    made = CliRunner().invoke(main, ["env", "create", "x", "--plugin", plugin])
+    assert made.exit_code == 4
+    assert f"there is no plugin '{plugin}' (known: mqtt, python, " in made.stderr
+    assert hint in made.stderr
+    assert not (tmp_path / "asked").exists()
+    assert not home.exists()
+
+
+@pytest.mark.parametrize("plugin", ["recording", "status"])
+def test_what_the_core_brings_needs_no_package_more(plugin: str) -> None:
+    assert environments.requirements(plugin, None) == environments.requirements("python", None)
 
 
 def test_a_project_given_by_its_path_stands_for_the_plugin() -> None:
@@ -92,8 +118,11 @@ def test_a_package_is_no_name_of_a_plugin(plugin: str) -> None:
     ],
 )
 def test_a_longer_name_does_not_stand_for_the_plugin(more: str, stands: bool) -> None:
-    wanted = environments.requirements("absent", None, (more,))
-    assert wanted[1:] == ((more,) if stands else ("uoarm-absent", more))
+    if not stands:
+        with pytest.raises(PluginError, match="there is no plugin 'absent'"):
+            environments.requirements("absent", None, (more,))
+        return
+    assert environments.requirements("absent", None, (more,))[1:] == (more,)
 
 
 def test_uv_makes_it_and_every_line_is_shown(tmp_path: Path, home: Path) -> None:
@@ -293,6 +322,7 @@ def test_a_version_that_only_the_environment_shows_not_to_be_there_is_refused_as
     text = f"""
 if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {asked} "$4/bin/python"; fi"""
     monkeypatch.setenv("PATH", str(_executable(tmp_path / "uv", text).parent), prepend=":")
+    monkeypatch.setitem(_registry._KNOWN, "absent", ("uoarm-absent", ""))
     make = ("env", "create", "x", "--plugin", "absent", "--distribution")
     made = CliRunner().invoke(main, [*make, "jazy"])
     assert made.exit_code == 4, made.output

@@ -140,7 +140,9 @@ def test_an_environment_is_compared_by_what_is_installed_in_it(
     (share / "mine.json").write_text(json.dumps({"title": "mine/Grip", **BEFORE}))
     done = compared(tmp_path, "--environment", "newer")
     assert done.exit_code == 4, done.output
-    assert "the environment 'newer' is not whole: make it again" in done.output
+    assert "the environment 'newer' is incomplete: uoarm env remove newer" in done.output
+    none = compared(tmp_path, "--environment", "none")
+    assert "there is no environment 'none' (there is none)" in none.output
     (share.parent / "uoarm-environment.json").write_text('{"requirements": []}')
     done = compared(tmp_path, "--environment", "newer")
     assert done.exit_code == 1, done.output

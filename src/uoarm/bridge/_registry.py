@@ -336,7 +336,7 @@ class Registry:
                 return f"plugin {plugin!r} is installed but cannot be used: {problem.cause}"
         if plugin in _KNOWN:
             return f"plugin {plugin!r} is not installed: {install_command(*_KNOWN[plugin])}"
-        hint = did_you_mean(plugin, self._types)
+        hint = did_you_mean(plugin, {**self._types, **_KNOWN})
         return f"there is no plugin {plugin!r} (installed: {', '.join(self._types)}){hint}"
 
     def _admit(self, plugin: str, kind: BridgeType) -> None:
@@ -351,6 +351,16 @@ class Registry:
             self._known[kind.name] = kind
             return
         self._problems.append(PluginProblem(plugin, cause))
+
+
+def plugins_of_core() -> frozenset[str]:
+    """Return the names of the plugins that the core brings without an entry point."""
+    return frozenset(_OWN)
+
+
+def known_plugins() -> list[str]:
+    """Return the names of the plugins that are installed, and of those that we make."""
+    return sorted({*(point.name for point in _all_installed()), *_KNOWN})
 
 
 def _all_installed() -> Iterator[EntryPoint]:

@@ -96,13 +96,18 @@ def installed(name: str) -> Path:
     """
     folder = environment_folder(name)
     if not (folder / MARK).is_file():
-        whole = (
-            ", ".join(environment.name for environment in listed() if environment.is_whole)
-            or "none"
-        )
-        what = "is not whole: make it again" if folder.is_dir() else "is not there"
-        raise PluginEnvironmentError(f"the environment {name!r} {what} (whole are: {whole})")
+        if folder.is_dir():
+            text = f"the environment {name!r} is incomplete: uoarm env remove {name}, then make it"
+            raise PluginEnvironmentError(f"{text} again")
+        raise _missing(name, [environment for environment in listed() if environment.is_whole])
     return folder
+
+
+def _missing(name: str, there: Iterable[Environment]) -> PluginEnvironmentError:
+    names = ", ".join(environment.name for environment in there)
+    return PluginEnvironmentError(
+        f"there is no environment {name!r} ({f'there are: {names}' if names else 'there is none'})"
+    )
 
 
 def listed() -> list[Environment]:
@@ -121,8 +126,7 @@ def remove(name: str) -> None:
     """
     folder = environment_folder(name)
     if not folder.is_dir():
-        known = ", ".join(environment.name for environment in listed()) or "none"
-        raise PluginEnvironmentError(f"there is no environment {name!r} (there are: {known})")
+        raise _missing(name, listed())
     try:
         shutil.rmtree(folder)
     except OSError as error:

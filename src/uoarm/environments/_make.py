@@ -24,7 +24,9 @@ from tempfile import TemporaryDirectory
 
 from uoarm._origin import installed, origin_of
 from uoarm._raised import on_failure
+from uoarm._spelling import did_you_mean
 from uoarm._support.files import write_whole
+from uoarm.bridge._registry import known_plugins, plugins_of_core
 from uoarm.environments._environment import (
     MARK,
     PluginEnvironmentError,
@@ -98,7 +100,8 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
     Raises:
         PluginError: the plugin is installed here, and says that it has no such version; or it is
             among the further requirements without its version, which nothing would install; or
-            what is named is a package or a path.
+            what is named is a package or a path, or a plugin of others that is neither installed
+            here nor among the further requirements.
     """
     if re.search(r"[^\w.-]|^uoarm-|^$", plugin):
         text = f"{plugin!r} is no name of a plugin: expected one such as mqtt"
@@ -106,7 +109,7 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
     ours = _requirement(installed(_CORE), _CORE, "hosts")
     point = next((entry for entry in entry_points(group=_GROUP) if entry.name == plugin), None)
     provider = None if point is None else point.dist
-    if provider is not None and provider.name == _CORE:
+    if plugin in plugins_of_core() or (provider is not None and provider.name == _CORE):
         if version is not None:
             raise PluginEnvironmentError(
                 f"the plugin {plugin} has no middleware: leave {version!r} out"
@@ -121,6 +124,11 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
             text = f"{given[0]} stands for the plugin, and does not ask for {version!r}"
             raise PluginEnvironmentError(f"{text}: expected [{version}] after its name or path")
         return (ours, *more)
+    known = known_plugins()
+    if plugin not in known:
+        text = f"there is no plugin {plugin!r} (known: {', '.join(known)})"
+        hint = did_you_mean(plugin, known) or f"; of others it is added by --with uoarm-{plugin}"
+        raise PluginEnvironmentError(f"{text}{hint}")
     return (ours, _requirement(provider, f"uoarm-{plugin}", version), *more)
 
 
