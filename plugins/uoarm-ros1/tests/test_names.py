@@ -341,6 +341,29 @@ def test_a_parameter_that_is_set_as_a_new_master_is_found_without_it_was_set_onc
         assert collector.wait(3) == [1, 2, 3]
 
 
+def test_what_is_being_registered_is_not_registered_again(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """rospy that is announced a publisher twice replaces its connection to it."""
+    with running(tmp_path / "master") as world, bridge_to(world, rosout=False) as bridge:
+        node: Any = cast("Any", bridge)._node
+        register, calls = node.master.register_publisher, []
+
+        def look_before(*arguments: Any) -> Any:
+            calls.append(arguments)
+            if len(calls) == 1:
+                cast("Any", bridge)._look_at_master()
+            return register(*arguments)
+
+        monkeypatch.setattr(node.master, "register_publisher", look_before)
+        sink = bridge.open_sink(input_("/t", INT, peer="optional"), ANY)
+        assert calls == [("/t", INT)]
+        assert "/t" in registered(node)
+        assert node.is_registered
+        sink.close()
+        assert not node.is_registered
+
+
 def test_what_is_taken_back_while_it_is_registered_does_not_stay(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,7 +16,7 @@ from endpoints import bridge_to, input_, output, service
 from peers import Master, Peer
 from ros1_world import large_image, zero
 from tests.inbox import Inbox  # type: ignore[import-not-found]
-from uoarm_ros1 import _subscription
+from uoarm_ros1 import _channels, _subscription
 from uoarm_ros1._node import Node
 
 from uoarm import RobotManager
@@ -350,13 +350,10 @@ def test_another_definition_of_a_type_is_refused_with_both_sums(
 
 def test_a_topic_is_well_again_once_whom_it_refused_is_gone(master: Master, lasting: Peer) -> None:
     other = master.peer("other")
+    lasting.do("subscribe", topic="/mixed", type=INT)
     with bridge_to(master) as bridge:
         reports = Inbox(bridge)
-        sink = bridge.open_sink(input_("/mixed", INT, peer="optional"), ANY)
-        # Only now: rospy that is there before a publisher may open a second connection to it, and
-        # close the first one, with which the sink would be lost.
-        lasting.do("subscribe", topic="/mixed", type=INT)
-        wait(lambda: sink.facts()["subscribers"] == ["/lasting"])
+        sink = bridge.open_sink(input_("/mixed", INT, wait=patience()), ANY)
         other.do("subscribe", topic="/mixed", type="std_msgs/String")
         refused = reports.event(Health.DEGRADED, "/other wants topic /mixed")
         sink.send({"data": 1})
@@ -388,6 +385,44 @@ def test_a_topic_is_well_again_once_the_publisher_that_it_refused_is_gone(
         other.do("advertise_no_more", topic="/mingled")
         assert refused.channel is reports.event(Health.OK, "connected, or publishes no").channel
     other.kill()
+
+
+def test_a_subscriber_that_replaces_its_connection_is_no_loss_and_one_that_goes_is(
+    master: Master, lasting: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_channels, "_RETURN_SECONDS", patience())
+    lasting.do("subscribe", topic="/replaced", type=INT)
+    with bridge_to(master) as bridge:
+        reports = Inbox(bridge)
+        sink = bridge.open_sink(input_("/replaced", INT, wait=patience()), ANY)
+        lasting.do("connect_again", topic="/replaced")
+        reports.event(Health.DEGRADED, "disconnected: subscriber of /replaced: subscriber /lasting")
+        reports.event(Health.OK, "subscriber of /replaced: a peer is connected")
+        sink.send({"data": 1})
+        lasting.wait_for("count", lambda count: count == 1, topic="/replaced")
+        assert [event.health for event in reports.messages] == [Health.DEGRADED, Health.OK]
+        sink.close()
+    monkeypatch.setattr(_channels, "_RETURN_SECONDS", 0.05)
+    with bridge_to(master) as bridge:
+        reports = Inbox(bridge)
+        sink = bridge.open_sink(input_("/replaced", INT, wait=patience()), ANY)
+        lasting.do("subscribe_no_more", topic="/replaced")
+        assert reports.event(Health.LOST, "no peer for 0.05 s: subscriber /las").channel is sink
+
+
+def test_a_sink_for_a_node_is_lost_with_it_though_another_subscribes(
+    master: Master, lasting: Peer
+) -> None:
+    peer = master.peer("meant")
+    for node in (peer, lasting):
+        node.do("subscribe", topic="/meant", type=INT)
+    with bridge_to(master) as bridge:
+        reports = Inbox(bridge)
+        sink = bridge.open_sink(input_("/meant", INT, node="/meant", wait=patience()), ANY)
+        wait(lambda: sink.facts()["subscribers"] == ["/lasting", "/meant"])
+        peer.kill()
+        assert reports.event(Health.LOST, "/meant").channel is sink
+        assert sink.facts()["subscribers"] == ["/lasting"]
 
 
 def test_a_subscriber_that_is_refused_still_is_reported_beside_one_that_comes(

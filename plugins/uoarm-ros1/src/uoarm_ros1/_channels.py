@@ -35,6 +35,8 @@ _LOOK_SECONDS = 0.005
 _SHARED_SECONDS = 0.2
 _LATELY_SECONDS = 1.0
 _MOST_REFUSED = 16
+# For a subscriber that closes its connection to be back: rospy does so to replace it by another.
+_RETURN_SECONDS = 1.0
 
 
 @frozen
@@ -55,21 +57,20 @@ class TopicPlace:
     report: Callable[[Channel, Health, str], None]
     clock: Callable[[], float] = time.monotonic
 
-    def health(self, what: str, report: Callable[[Health, str], None]) -> ChannelMonitor:
-        """Return the health of a new channel here."""
-        health = ChannelHealth(
-            f"{what} of {self.topic}",
-            self.clock(),
-            stale_after=self.port.stale_after,
-            without_peers=Health.LOST if self.port.peer_required else Health.OK,
-        )
-        return ChannelMonitor(health, report, self.clock)
+    @property
+    def node_meant(self) -> str:
+        """The full name of the one node that is meant; empty: any."""
+        return self.node.resolve(self.port.node) if self.port.node else ""
+
+    @property
+    def without_peers(self) -> Health:
+        """How a channel here is whose last peer has gone."""
+        return Health.LOST if self.port.peer_required else Health.OK
 
     def wanted(self, record: RosRecord) -> SubscriptionOptions:
         """Return what a subscription here takes."""
-        publisher = self.node.resolve(self.port.node) if self.port.node else ""
         wanted = self.node.wanted(self.topic, record)
-        return evolve(wanted, node=publisher, nodelay=self.port.nodelay)
+        return evolve(wanted, node=self.node_meant, nodelay=self.port.nodelay)
 
 
 class _Subscribed:
@@ -87,7 +88,13 @@ class _Subscribed:
     ) -> None:
         self.place = place
         self._gone = gone
-        self.health = place.health("publisher", say)
+        health = ChannelHealth(
+            f"publisher of {place.topic}",
+            place.clock(),
+            stale_after=place.port.stale_after,
+            without_peers=place.without_peers,
+        )
+        self.health = ChannelMonitor(health, say, place.clock)
         self.is_latched = False
         self.breaks = 0
         # Addresses of publishers that are not reached; in the threads of all publishers.
@@ -221,7 +228,13 @@ class _Publishing:
         self, place: TopicPlace, record: RosRecord, say: Callable[[Health, str], None]
     ) -> None:
         self.place = place
-        self.health = place.health("subscriber", say)
+        health = ChannelHealth(
+            f"subscriber of {place.topic}",
+            time.monotonic(),
+            without_peers=place.without_peers,
+            grace=_RETURN_SECONDS,
+        )
+        self.health = ChannelMonitor(health, say)
         self._refusal = ""
         # When they were: added to in the loop's thread, taken from by the watch.
         self._refused: dict[str, float] = {}
@@ -246,7 +259,8 @@ class _Publishing:
         self.place.node.withdraw(publication)
 
     def tick(self, graph: Graph) -> None:
-        """Look whether who was refused is connected now, or subscribes no more."""
+        """Look whether the last subscriber is back, and who was refused there or gone."""
+        self.health.tick()
         before = dict(self._refused)
         if not before:
             return
@@ -264,7 +278,8 @@ class _Publishing:
 
     def _watch(self, what: str, refused: str) -> None:
         if not refused:
-            self.health.connected(len(self.publication.callers), what)
+            callers, wanted = self.publication.callers, self.place.node_meant
+            self.health.connected(callers.count(wanted) if wanted else len(callers), what)
             return
         self._refusal = what
         if refused in self._refused or len(self._refused) < _MOST_REFUSED:
@@ -276,7 +291,7 @@ class _Publishing:
         self._watch("it is opened", "")
         place, node = self.place, self.place.node
         deadline = time.monotonic() + place.wait
-        wanted = place.port.node and node.resolve(place.port.node)
+        wanted = place.node_meant
         rest, asked = threading.Event(), 0.0
         expected: set[str] = set()
         while True:
@@ -353,7 +368,7 @@ class Ros1TopicSink(Sink):
         return self._publication.drain(timeout)
 
     def tick(self, graph: Graph) -> None:
-        """Look whether subscribers that were refused still are."""
+        """Look whether the last subscriber is back, and those that were refused still are."""
         self._publishing.tick(graph)
 
     def _send(self, message: Message) -> None:
@@ -395,7 +410,7 @@ class Relay(NativeLink):
         return self._publishing.publication.drain(timeout)
 
     def tick(self, graph: Graph) -> None:
-        """Look whether messages come, and whether subscribers that were refused still are."""
+        """Look whether messages come, and how the subscribers are."""
         self._subscribed.health.tick()
         self._publishing.tick(graph)
 

@@ -86,6 +86,8 @@ class Node:
             "service": self._services,
             "parameter": self._parameters,
         }
+        # What the master has taken, by kind and name; under the lock.
+        self._registered: set[tuple[str, str]] = set()
         self._is_closing = self._is_alone = False
         self._numbers = count(2)
         host = identity.host or _own_address(identity.master_host, identity.master_port)
@@ -122,8 +124,12 @@ class Node:
 
     @property
     def is_registered(self) -> bool:
-        """Whether the master should know the node."""
-        return bool(self._publications or self._subscriptions or self._services or self._parameters)
+        """Whether the master should know the node. What is being registered it need not know yet.
+
+        Registered a second time, a publisher would be announced twice. rospy connects for both at
+        once, and closes the first connection.
+        """
+        return bool(self._registered)
 
     def advertise(self, topic: str, record: RosRecord, **more: Any) -> TopicPublication:
         """Publish a topic; one that is published already is shared.
@@ -377,11 +383,17 @@ class Node:
         # taken back once more, or the master knew for good what is there no longer.
         found = call()
         self.has_registered = True
-        if name not in self._tables[kind]:
+        with self._lock:
+            is_wanted = name in self._tables[kind]
+            if is_wanted:
+                self._registered.add((kind, name))
+        if not is_wanted:
             self._unregister(kind, name)
         return found
 
     def _unregister(self, kind: str, name: str) -> None:
+        with self._lock:
+            self._registered.discard((kind, name))
         if self._is_alone:
             return
         try:

@@ -23,6 +23,7 @@ import genpy.dynamic
 import roslib.message
 import rospy
 from genpy_messages import DEFINED, fill, plain
+from rospy.impl.tcpros import get_tcpros_handler
 
 PUBLISHERS, CAME, KEPT = {}, {}, []
 
@@ -128,6 +129,13 @@ def subscribe_no_more(topic):
     for kept in KEPT:
         if isinstance(kept, rospy.Subscriber) and kept.name == topic:
             kept.unregister()
+
+
+def connect_again(topic):
+    """Replace the connection to a publisher, as where two updates of the master name it at once."""
+    connection = rospy.topics.get_topic_manager().get_subscriber_impl(topic).connections[0]
+    place = ["TCPROS", *connection.dest_address]
+    get_tcpros_handler().create_transport(topic, connection.endpoint_id, place)
 
 
 def subscribe_any(topic):
