@@ -111,7 +111,8 @@ deliveries = CallGuard()
 
 
 _CUT_SECONDS = 0.1
-_GONE = (CORBA.COMM_FAILURE, CORBA.TRANSIENT, CORBA.OBJECT_NOT_EXIST, CORBA.INV_OBJREF)
+GONE = (CORBA.COMM_FAILURE, CORBA.TRANSIENT, CORBA.OBJECT_NOT_EXIST, CORBA.INV_OBJREF)
+"""What a call raises whose peer, or the object there, is gone."""
 
 
 @contextmanager
@@ -126,7 +127,7 @@ def corba_errors(what: str) -> Iterator[None]:
             yield
     except CORBA.TIMEOUT as error:
         raise BridgeTimeoutError(f"{what}: no answer within the time limit") from error
-    except _GONE as error:
+    except GONE as error:
         text = f"{what}: the other side is gone ({corba_text(error)})"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
     except (CORBA.MARSHAL, CORBA.BAD_PARAM, CORBA.BAD_OPERATION) as error:

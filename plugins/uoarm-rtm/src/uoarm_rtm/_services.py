@@ -19,7 +19,7 @@ from uoarm.bridge import Channel, Description, LimitedLog, foreign, on_failure, 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message, MessageStructure, closed_object
 from uoarm_rtm._descriptors import RETURN, IdlInterface, IdlOperation
-from uoarm_rtm._orb import Orb, corba_errors, limit, narrowed
+from uoarm_rtm._orb import GONE, Orb, corba_errors, limit, narrowed
 from uoarm_rtm._peer import (
     Connections,
     Connector,
@@ -149,12 +149,15 @@ class OperationCaller:
             with corba_errors(what):
                 try:
                     result = getattr(target, chosen.name)(*natives)
-                except CORBA.OBJECT_NOT_EXIST as error:
+                except GONE as error:
+                    if not is_new and error.completed == CORBA.COMPLETED_NO:
+                        # Of a component that has come back elsewhere, or serves another object.
+                        text = f"{what}: what it was connected to is gone"
+                        raise BridgeError(text, FailureReason.CLOSED) from error
+                    if not isinstance(error, CORBA.OBJECT_NOT_EXIST):
+                        raise
                     text = f"{what}: the service is not there; is its component active?"
-                    # One that was served anew since is another object: it is looked for again.
-                    is_certain = is_new or error.completed != CORBA.COMPLETED_NO
-                    reason = FailureReason.UNAVAILABLE if is_certain else FailureReason.CLOSED
-                    raise BridgeError(text, reason) from error
+                    raise BridgeError(text, FailureReason.UNAVAILABLE) from error
                 except CORBA.UserException as error:
                     raise _declared(chosen, error, what) from error
         except IdlError:
