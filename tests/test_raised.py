@@ -7,6 +7,8 @@ import builtins
 import logging
 import re
 import signal
+import socket
+import ssl
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -24,6 +26,7 @@ from uoarm._raised import (
     foreign,
     is_raised,
     on_failure,
+    reason_of,
     sentence_of,
     text_of,
     writable,
@@ -51,6 +54,58 @@ from uoarm.testing import ManualClock
 )
 def test_what_is_closed_away_or_unfit_is_nobodys_exception(error: Exception, own: bool) -> None:
     assert is_raised(error) is own
+
+
+def _raised(call: Callable[[], object]) -> BaseException:
+    with pytest.raises(Exception) as raised:  # noqa: PT011 - whatever it is, its words are the test
+        call()
+    return raised.value
+
+
+def test_why_the_system_refused_is_said_without_a_class_or_a_number(tmp_path: Path) -> None:
+    absent = tmp_path / "absent"
+    error = _raised(absent.read_text)
+    assert reason_of(error, absent) == "No such file or directory"
+    assert reason_of(error) == f"No such file or directory: '{absent}'"
+    assert reason_of(_raised(lambda: socket.create_connection(("127.0.0.1", 9)))) == (
+        "Connection refused"
+    )
+    assert reason_of(_raised(lambda: socket.getaddrinfo("nohost.invalid", 1))) == (
+        "there is no host of this name"
+    )
+    assert reason_of(_raised(lambda: ssl.create_default_context(cafile=__file__))) == (
+        "no certificate or crl found"
+    )
+    assert reason_of(_raised(Path("a\0b").read_text)) == "embedded null byte"
+    place = absent / "link"
+    assert reason_of(_raised(lambda: place.symlink_to("x")), place) == "No such file or directory"
+    assert reason_of(BridgeError("no link")) == "no link"
+    assert reason_of(KeyError("x")) == "KeyError: 'x'"
+
+
+async def test_why_a_loop_does_not_connect_is_said_without_the_addresses() -> None:
+    for host in ("127.0.0.1", "localhost"):  # which may have two
+        with pytest.raises(OSError, match="Connect call failed") as raised:
+            await asyncio.open_connection(host, 9)
+        assert reason_of(raised.value) == "Connection refused"
+    both = OSError(
+        "Multiple exceptions: [Errno 111] Connect call failed ('::1', 9, 0, 0), [Errno 1"
+        "11] Connect call failed ('127.0.0.1', 9)"
+    )
+    assert reason_of(both) == "Connection refused"
+    with pytest.raises(asyncio.TimeoutError) as late:
+        await asyncio.wait_for(asyncio.Event().wait(), 0)
+    assert reason_of(late.value) == "no answer in time"
+
+
+def test_the_reason_of_an_error_of_others_is_bounded_and_never_raises() -> None:
+    class BrokenError(OSError):
+        def __str__(self) -> str:
+            raise ValueError("even this")
+
+    assert reason_of(BrokenError()) == "BrokenError, whose text raised ValueError"
+    assert reason_of(OSError(5, "\udcff" * 5000)) == "\\udcff" * 166 + "\\udc"
+    assert reason_of(OSError()) == "OSError"
 
 
 def test_the_text_of_an_error_is_bounded_and_never_raises() -> None:

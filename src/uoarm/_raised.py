@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import builtins
 import logging
+import os
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -32,6 +34,9 @@ _OWN = frozenset({FailureReason.RAISED, FailureReason.BAD_MESSAGE, FailureReason
 _RECORD_SECONDS = 10.0
 _FUNCTIONS = {FunctionType, MethodType, BuiltinFunctionType}
 _FOLDER = __file__.removesuffix("_raised.py")
+_NUMBER = re.compile(r"\[Errno (-?\d+)\] ")
+_LATE = re.compile(r"timed out|^$")
+_OF_LOOP = re.compile(r"Connect call failed|error while attempting|Multiple exceptions")
 
 
 class ContainedError(BridgeError):
@@ -198,6 +203,53 @@ def name_of(callback: Any) -> str:
 def sentence_of(error: BaseException) -> str:
     """Return the text of an error of uoarm, which says all; of another one what `text_of` does."""
     return str(error) if isinstance(error, UoarmError) else text_of(error)
+
+
+def reason_of(error: BaseException, path: object = None) -> str:
+    """Return why something failed, in the system's words, without the name of a class.
+
+    That is for errors of the operating system, of TLS, and for a `ValueError`, whose text is a
+    sentence. Of any other error it is what `sentence_of` returns.
+
+    Args:
+        error: any.
+        path: of a file that the text around this names already; other files of the error are named.
+    """
+    if isinstance(error, UoarmError):
+        return str(error)
+    if type(error).__name__ == "TimeoutError" and _LATE.search("".join(map(str, error.args))):
+        return "no answer in time"  # of futures and loops, too, on CPython 3.10
+    try:
+        said = foreign(_reason, error)
+    except Exception:  # noqa: BLE001 - foreign, as the error is
+        said = ""
+    if not said:
+        return text_of(error)
+    # Of two files, as of a link, the one that was to be made.
+    named = getattr(error, "filename2", None) or getattr(error, "filename", None)
+    if isinstance(named, str | bytes) and os.fsdecode(named) not in {"", str(path)}:
+        said += f": {os.fsdecode(named)!r}"
+    return encodable(said[:_LENGTH])[:_LENGTH]
+
+
+def _reason(error: BaseException) -> str:
+    if type(error) is ValueError or type(error).__module__ == "subprocess":
+        return str(error)
+    if not isinstance(error, OSError):
+        return ""
+    if type(error).__module__ == "ssl":
+        named = getattr(error, "verify_message", "") or getattr(error, "reason", None)
+        return str(named or error).rstrip(".").replace("_", " ").lower()
+    said = error.strerror or str(error)
+    if type(error).__name__ == "gaierror":
+        import socket  # noqa: PLC0415 - for mistakes only
+
+        unknown = {socket.EAI_NONAME, getattr(socket, "EAI_NODATA", socket.EAI_NONAME)}
+        return "there is no host of this name" if error.errno in unknown else said
+    if _OF_LOOP.match(said):  # which repeats the addresses, and may be about several
+        numbers = [error.errno] if error.errno else map(int, _NUMBER.findall(said))
+        return "; ".join(dict.fromkeys(map(os.strerror, numbers))) or said
+    return _NUMBER.sub("", said)
 
 
 class on_failure:  # noqa: N801 - read as a block's beginning, as those of contextlib are

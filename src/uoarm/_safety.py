@@ -20,7 +20,7 @@ from typing import TypeAlias, TypeVar
 from attrs import evolve
 
 from uoarm._dataplane import Clock
-from uoarm._raised import Log, foreign, text_of
+from uoarm._raised import Log, foreign, reason_of, text_of
 from uoarm._support.files import write_whole
 from uoarm.bridge import Bridge, Sink, boot_seconds
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
@@ -283,7 +283,7 @@ class EmergencyStop:
             try:
                 file.settle(lambda: self.is_held)
             except OSError as error:
-                reports[0] = f"{file.path} cannot be written: {text_of(error)}"
+                reports[0] = f"{file.path} cannot be written: {reason_of(error, file.path)}"
             else:
                 reports[0] = ""
 
@@ -346,7 +346,8 @@ class EmergencyStop:
         try:
             self._file.remove()
         except OSError as error:
-            text = f"nothing was released: {self._file.path} cannot be removed: {text_of(error)}"
+            why = reason_of(error, self._file.path)
+            text = f"nothing was released: {self._file.path} cannot be removed: {why}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 
 

@@ -431,6 +431,25 @@ def test_a_text_that_has_a_form_is_explained_by_an_example() -> None:
     )
 
 
+@pytest.mark.parametrize("place", ["/:9", "//a:99999", "//a:0", "//a:x", "//[::1"])
+def test_an_address_that_cannot_be_one_is_a_mistake_in_the_configuration(place: str) -> None:
+    """Of each plugin that is installed: it is not found as the bridge connects."""
+    tried = 0
+    for kind in Registry().types.values():
+        schema: Any = kind.options_schema
+        needed = {name: schema["properties"][name]["examples"][0] for name in kind.lacking({})}
+        for name, rules in schema.get("properties", {}).items():
+            example = next(iter(rules.get("examples", ())), "")
+            if "://" not in str(example) or not isinstance(example, str):
+                continue
+            wrong = {**needed, name: f"{example.partition('//')[0]}/{place}"}
+            with pytest.raises(ValueError, match=r"//|expected") as raised:
+                kind.value_of(wrong, "")
+            assert not isinstance(raised.value, ConfigurationError), kind.name
+            tried += 1
+    assert tried >= min(1, len(Registry().types) - 3)  # of the core: none
+
+
 def parts(schema: Any) -> Iterator[Mapping[str, Any]]:
     """Yield a schema and all that stands in it."""
     if isinstance(schema, Mapping):

@@ -150,7 +150,7 @@ def test_the_error_of_a_bridge_names_it(tmp_path: Path) -> None:
     [
         ("localhost", True, "its certificate is not trusted: self.signed certificate; trust it"),
         ("another", False, r"its certificate is not trusted: .*; connect by a name that it has"),
-        ("localhost", None, "no TLS: wrong version number"),
+        ("localhost", None, "no TLS is spoken there: wrong version number"),
     ],
 )
 def test_why_tls_failed_is_said_in_words(
@@ -174,5 +174,5 @@ def test_why_tls_failed_is_said_in_words(
     # As OpenSSL says in words of a release of TLS what a side thinks of the other's certificate.
     ours = ssl.SSLError(1, "[SSL: TLSV1_ALERT_UNKNOWN_CA] tlsv1 alert unknown ca")
     assert "no TLS: it says of this side's certificate: " in tls_fault(ours)
-    assert tls_fault(ConnectionResetError("gone")) == "ConnectionResetError: gone"
+    assert tls_fault(ConnectionResetError("gone")) == "gone"
     assert tls_fault(ConnectionResetError()) == "no TLS: it ended the connection"

@@ -75,7 +75,7 @@ def test_a_file_that_cannot_be_written_is_known_before_bridges_look(
     monkeypatch.setattr(RobotManager, "discover", discover)
     done = run("suggest", "--merge", tmp_path / "absent" / "robot.yaml")
     assert (done.exit_code, looked) == (1, []), done.output
-    assert "robot.yaml cannot be written: [Errno 2] No such file" in done.stderr
+    assert "robot.yaml cannot be written: No such file" in done.stderr
     assert list(tmp_path.iterdir()) == [file]
 
 

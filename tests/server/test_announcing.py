@@ -127,7 +127,7 @@ def test_a_long_name_of_a_machine_is_cut(monkeypatch: pytest.MonkeyPatch) -> Non
     ("addresses", "cause"),
     [
         ([], "this machine has no address on a network"),
-        (["192.0.2.1"], "OSError: [Errno 19] No such device"),
+        (["192.0.2.1"], "No such device"),
     ],
 )
 def test_a_network_that_fails_is_a_warning(

@@ -637,6 +637,7 @@ class TestBroker:
             with pytest.raises(BridgeError, match="no connection to the broker at") as caught:
                 bridge.describe(endpoint("late"))
             assert caught.value.reason is FailureReason.UNAVAILABLE
+            assert str(caught.value).endswith((": Connection refused", ": no answer yet"))
             broker.start()
             try:
                 until(events, Health.OK)
@@ -831,9 +832,7 @@ class TestBroker:
     @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
     def test_a_broker_without_tls_has_a_hint(self, broker: Broker) -> None:
         url = broker.url.replace("mqtt:", "mqtts:")
-        why = (
-            r"before TLS was spoken: is that spoken there \(`mqtts://`\)\? ConnectionReset|no TLS:"
-        )
+        why = r"before TLS was spoken: is that spoken there .*\? Connection reset|no TLS is spoken"
         with bridge_to(broker, url=url) as bridge, pytest.raises(BridgeError, match=why):
             bridge.describe(endpoint("x"))
 

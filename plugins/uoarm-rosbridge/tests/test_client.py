@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from contextlib import ExitStack
+import socket
+import threading
+from contextlib import ExitStack, suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -282,9 +284,31 @@ def test_a_reply_that_does_not_fit_is_refused_with_the_service(played: Played) -
         bridge.call(say, {"data": "?"})
 
 
+def test_that_a_server_speaks_another_protocol_is_said() -> None:
+    """Such as one with TLS, or a proxy that is no server of WebSockets."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        place = f"ws://127.0.0.1:{listener.getsockname()[1]}"
+
+        def greet() -> None:
+            with suppress(OSError):  # it is closed
+                while True:
+                    peer, _ = listener.accept()
+                    with peer, suppress(OSError):
+                        peer.recv(1)
+                        peer.sendall(b"SSH-2.0-OpenSSH_9\r\n")
+
+        thread = threading.Thread(target=greet)
+        thread.start()
+        text = f"no connection to {place}: no HTTP/1.1 is spoken there: with TLS it is wss://"
+        with bridge_to(place) as bridge, pytest.raises(BridgeError, match=re.escape(text)):
+            bridge.describe(TALK)
+        listener.shutdown(socket.SHUT_RDWR)
+        thread.join()
+
+
 def test_a_server_that_is_not_there_is_named() -> None:
     with bridge_to("ws://127.0.0.1:1") as bridge:
-        with pytest.raises(BridgeError, match=r"no connection to ws://127\.0\.0\.1:1: ") as caught:
+        with pytest.raises(BridgeError, match=r"no connection to .*:1: Connection refus") as caught:
             bridge.describe(TALK)
         assert caught.value.reason is FailureReason.UNAVAILABLE
 

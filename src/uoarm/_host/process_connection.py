@@ -28,7 +28,7 @@ from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply
 from uoarm._log_lines import HOST_LINE, read_host_line
-from uoarm._raised import Log, on_failure
+from uoarm._raised import Log, on_failure, reason_of
 from uoarm._support.process_tuning import KEEPING
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.environments import find_interpreter, passed_on
@@ -469,5 +469,5 @@ def _shared_with_host(name: str) -> tuple[IO[bytes], LinkSockets, LinkSockets]:
             counted.close()
             raise
     except OSError as error:
-        text = f"bridge host {name!r} has no place for its link: {error}"
+        text = f"bridge host {name!r} has no place for its link: {reason_of(error)}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error

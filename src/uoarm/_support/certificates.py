@@ -28,7 +28,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from uoarm._raised import on_failure
+from uoarm._raised import on_failure, reason_of
 from uoarm._support.files import write_whole
 from uoarm.errors import UsageError
 
@@ -146,7 +146,9 @@ class Authority:
                 return cls._read(folder)
             return cls._make(folder)
         except (OSError, ValueError, TypeError) as error:
-            raise UsageError(f"{folder} cannot hold certificates: {error}") from error
+            # A TypeError is the library's for a key with a passphrase.
+            why = error if isinstance(error, TypeError) else reason_of(error, folder)
+            raise UsageError(f"{folder} cannot hold certificates: {why}") from error
 
     def certify_manager(self, addresses: Sequence[str], days: int) -> Path:
         """Make the manager's certificate, for the addresses under which machines reach it.
@@ -188,7 +190,7 @@ class Authority:
             issued = leaf(certificate, names, usage, self.key.public_key())
             _write(self.folder, name, issued.sign(self.key, hashes.SHA256()), key)
         except (OSError, ValueError, OverflowError) as error:
-            raise UsageError(f"{place} cannot be made: {error}") from error
+            raise UsageError(f"{place} cannot be made: {reason_of(error, place)}") from error
         return place
 
     @classmethod

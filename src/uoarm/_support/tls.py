@@ -13,6 +13,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TypeAlias
 
+from uoarm._raised import reason_of
 from uoarm._support.files import mode_of_regular
 from uoarm.errors import ConfigurationError
 
@@ -116,5 +117,6 @@ def _using(what: str, *files: _File | None) -> Iterator[None]:
                 mode_of_regular(Path(file))
         yield
     except (OSError, ValueError) as error:  # of a wrong passphrase ValueError
+        why = reason_of(error, files[0])
         names = " with ".join(str(file) for file in files if file is not None)
-        raise ConfigurationError(f"{what}: {names or 'the system'}: {error}") from error
+        raise ConfigurationError(f"{what}: {names or 'the system'}: {why}") from error

@@ -6,7 +6,7 @@ from uoarm._forks import at_exit, close_in_children
 from uoarm._interrupts import wait_step
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
-from uoarm._raised import LimitedLog, Log, foreign, on_failure, text_of
+from uoarm._raised import LimitedLog, Log, foreign, on_failure, reason_of, text_of
 from uoarm._spelling import did_you_mean
 from uoarm._support.workers import WorkerExecutor
 from uoarm.bridge._border import Delivery, reading_endpoint
@@ -27,8 +27,10 @@ from uoarm.bridge._options import (
     PeerOptions,
     TlsOptions,
     address_check,
+    host_of,
     option,
     options_table,
+    other_protocol,
     redirection,
     refusal,
     renewed,
@@ -99,12 +101,15 @@ __all__ = [
     "did_you_mean",
     "foreign",
     "hookimpl",
+    "host_of",
     "install_command",
     "message_check",
     "on_failure",
     "option",
     "options_table",
+    "other_protocol",
     "reading_endpoint",
+    "reason_of",
     "redirection",
     "refusal",
     "refuse_loop",

@@ -18,13 +18,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
-from urllib.parse import urljoin
+from urllib.parse import urljoin, urlsplit
 
 import attrs
 from typing_extensions import Self
 
 from uoarm._mistakes import Mistake, schema_mistakes
-from uoarm._raised import Log, text_of
+from uoarm._raised import Log, reason_of
 from uoarm._spelling import Speller
 from uoarm._support.yaml import write_path
 from uoarm.bridge._border import reading_endpoint
@@ -198,12 +198,14 @@ _TO_DO = {  # by OpenSSL's number of what is wrong with a certificate
     64: "connect by an address that it has",
 }
 
+_OTHER_SPEECH = {"wrong version number", "record layer failure", "http request"}
+
 
 def tls_fault(error: BaseException, trust: str = "give its authority as `ca` of `tls`") -> str:
     """Say why no connection came about, in words for what TLS raises.
 
     Args:
-        error: any; that of no TLS is put as it is.
+        error: any; of another one it is what `reason_of` returns.
         trust: what to do for a certificate that rests on nothing known.
     """
     import ssl  # noqa: PLC0415 - slow import
@@ -212,13 +214,27 @@ def tls_fault(error: BaseException, trust: str = "give its authority as `ca` of 
         to_do = _TO_DO.get(getattr(error, "verify_code", 0), trust)
         return f"its certificate is not trusted: {error.verify_message.rstrip('.')}; {to_do}"
     if isinstance(error, ssl.SSLError):
-        reason = (getattr(error, "reason", None) or str(error)).replace("_", " ").lower()
+        reason = reason_of(error)
+        if reason in _OTHER_SPEECH:
+            return f"no TLS is spoken there: {reason}"
         if re.search("alert .*(certificate|unknown ca)", reason):
             return f"no TLS: it says of this side's certificate: {reason}"
         return f"no TLS: {reason}"
     if isinstance(error, ConnectionResetError) and not error.args:  # asyncio, in a handshake
         return "no TLS: it ended the connection"
-    return text_of(error)
+    return reason_of(error)
+
+
+def other_protocol(error: BaseException, url: str) -> str:
+    """Say that what answers at an address of WebSockets speaks no HTTP, "" where it does.
+
+    Args:
+        error: of `websockets`.
+        url: which was asked for.
+    """
+    if type(error).__name__ != "InvalidMessage":
+        return ""
+    return f"no HTTP/1.1 is spoken there{': with TLS it is wss://' if url[:3] == 'ws:' else ''}"
 
 
 def redirection(error: BaseException, url: str) -> str:
@@ -250,6 +266,22 @@ def refusal(error: BaseException) -> str:
         return ""
     said = bytes(response.body or b"").decode(errors="replace").strip()[:_MOST_SAID]
     return said if said.isprintable() else ""
+
+
+def host_of(url: str) -> str:
+    """Return the host of an address.
+
+    Raises:
+        ValueError: it has none, or its port cannot be one; the text begins with the address.
+    """
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise ValueError(f"{url!r}: {error}") from None
+    if not host or port == 0:
+        raise ValueError(f"{url!r}: expected a host{' and a port from 1 on' if host else ''}")
+    return host
 
 
 def renewed(read: Callable[[], T]) -> Callable[[], T]:

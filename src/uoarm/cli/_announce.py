@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import Self
 
-from uoarm._raised import sentence_of
+from uoarm._raised import reason_of
 from uoarm.cli._output import echo
 from uoarm.cli._shared import needing, print_warning
 from uoarm.errors import ConfigurationError
@@ -98,7 +98,7 @@ class Announcement:
                 echo(f"announced on the network as {info.get_name()}", err=True)
                 self._over.wait()
         except Exception as error:  # noqa: BLE001 - sockets and a library: the server does without
-            print_warning(f"not announced: {sentence_of(error)}")
+            print_warning(f"not announced: {reason_of(error)}")
 
     def _info(self, port: int, addresses: list[str]) -> ServiceInfo:
         from zeroconf import ServiceInfo  # noqa: PLC0415 - of an extra

@@ -12,6 +12,7 @@ import click
 from attrs import evolve
 
 from uoarm import RobotManager
+from uoarm._raised import reason_of
 from uoarm._support.files import stamp_of, write_whole, written_beside
 from uoarm.bridge import Registry
 from uoarm.cli._output import echo, styled
@@ -160,7 +161,7 @@ def _writing(path: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        fail(f"{path} cannot be written: {error}", REFUSED, "UOA-003")
+        fail(f"{path} cannot be written: {reason_of(error, path)}", REFUSED, "UOA-003")
 
 
 @contextmanager

@@ -30,6 +30,7 @@ from uoarm._lock import (
     uncompared_types,
     write_lock,
 )
+from uoarm._raised import reason_of
 from uoarm._support.files import lock_path, write_whole
 from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm.bridge import Registry
@@ -338,4 +339,4 @@ def _write_file(path: Path, text: str) -> None:
     try:
         write_whole(path, text.encode())
     except OSError as error:
-        raise LockError(f"{path}: cannot be written: {error}") from error
+        raise LockError(f"{path}: cannot be written: {reason_of(error, path)}") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import re
 import sys
 from collections.abc import Awaitable, Callable, Mapping
@@ -14,8 +13,8 @@ import click
 from attrs import field, fields_dict, frozen
 
 from uoarm import errors
-from uoarm._raised import text_of
-from uoarm.bridge import redirection, refusal, tls_fault
+from uoarm._raised import reason_of
+from uoarm.bridge import other_protocol, redirection, refusal, tls_fault
 from uoarm.cli._output import UNWRITTEN, echo, styled
 from uoarm.cli._shared import (
     BRIDGE,
@@ -185,21 +184,19 @@ def _cause(error: Exception, server: Remote) -> str:
         trust = "give --authority FILE, or --fingerprint with what it printed at its start"
         return tls_fault(error, trust)
     if isinstance(error, OSError):
-        number = error.errno or 0  # asyncio's own text repeats the address; negative: of names
-        return f"it cannot be reached: {os.strerror(number) if number > 0 else error.strerror}"
-    from websockets.exceptions import InvalidMessage, InvalidStatus  # noqa: PLC0415 - an extra
+        return f"it cannot be reached: {reason_of(error)}"
+    from websockets.exceptions import InvalidStatus  # noqa: PLC0415 - an extra
 
     if isinstance(error, InvalidStatus) and error.response.status_code == HTTPStatus.UNAUTHORIZED:
         proof = "" if server.certificate is None else ", or a --certificate whose name it has"
         return f"it admits no client without a token (--token) that its access file has{proof}"
-    if isinstance(error, InvalidMessage):
+    if other := other_protocol(error, server.url):
         if server.certificate is not None:
             return "it ends the connection: it may not accept --certificate, or that has ended"
-        tls = "" if server.url.startswith("wss:") else ": with TLS it is wss://"
-        return f"no HTTP/1.1 is spoken there{tls}"
+        return other
     if said := refusal(error):
         return f"it refuses: {said}"
-    return redirection(error, server.url) or text_of(error)
+    return redirection(error, server.url) or reason_of(error)
 
 
 _MOST_OCTETS = 1_000_000

@@ -21,6 +21,7 @@ from typing import Any
 import click
 from attrs import frozen
 
+from uoarm._raised import reason_of
 from uoarm._support.files import UnreadableFileError, read_text
 from uoarm.errors import UoarmError, UsageError
 
@@ -438,7 +439,7 @@ class _Examination:
                 check=False,
             )
         except (OSError, subprocess.TimeoutExpired) as error:
-            yield Level.WARNING, f"systemd-analyze could not be asked: {error}"
+            yield Level.WARNING, f"systemd-analyze could not be asked: {reason_of(error)}"
             return
         for line in done.stderr.splitlines():
             if self._unit.path.name in line:

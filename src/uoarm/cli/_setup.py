@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from uoarm import environments
+from uoarm._raised import reason_of
 from uoarm.bridge import Registry
 from uoarm.cli._output import echo
 from uoarm.cli._shared import (
@@ -201,7 +202,7 @@ def new_bridge(name: str, into: Path) -> None:
             target.write_text(_named(text, name), encoding="utf-8")
     except OSError as error:
         shutil.rmtree(project, ignore_errors=True)
-        fail(f"{project} cannot be made: {error}", REFUSED, "UOA-003")
+        fail(f"{project} cannot be made: {reason_of(error, project)}", REFUSED, "UOA-003")
     echo(f"made {project}; next:\n")
     echo(f"  cd {project}\n  pip install -e '.[dev]'\n  pytest -x")
 

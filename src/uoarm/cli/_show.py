@@ -15,6 +15,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from uoarm._raised import reason_of
 from uoarm._version import __version__
 from uoarm.bridge import Registry
 from uoarm.cli._output import echo, saying_what_is_waited_for, styled
@@ -328,7 +329,7 @@ def environment_facts(file: str | None, registry: Registry) -> Iterator[tuple[st
         try:
             interpreter = settings.interpreter()
         except BridgeError as error:
-            yield name, {"usable": f"no: {error}"}
+            yield name, {"usable": f"no: {reason_of(error)}"}
         else:
             variables = settings.process_variables(os.environ)
             yield name, _asked(interpreter, variables, bridge.plugin)
@@ -349,7 +350,7 @@ def _asked(interpreter: Path, variables: dict[str, str], plugin: str) -> dict[st
     except subprocess.TimeoutExpired:
         return {"usable": f"no: it did not answer within {_SECONDS:g} s"}
     except (OSError, ValueError) as error:  # such as a variable that no process can have
-        return {"usable": f"no: {error}"}
+        return {"usable": f"no: {reason_of(error)}"}
     try:
         report: Any = json.loads(done.stdout)
         found = report.get(plugin, {"usable": f"no: the plugin {plugin} is not installed there"})

@@ -12,6 +12,7 @@ from typing import Any
 from attrs import evolve, frozen
 
 from uoarm import config
+from uoarm._raised import reason_of
 from uoarm._support import yaml
 from uoarm._support.files import UnreadableFileError, end_of_lines, read_text, written_beside
 from uoarm._support.yaml import Document, Path
@@ -300,4 +301,5 @@ def _writing(place: FilePath, intro: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigurationError(f"{intro}{place} cannot be written: {error}") from error
+        why = reason_of(error, place)
+        raise ConfigurationError(f"{intro}{place} cannot be written: {why}") from error

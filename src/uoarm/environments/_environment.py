@@ -14,6 +14,7 @@ from typing import Any
 
 from attrs import field, frozen
 
+from uoarm._raised import reason_of
 from uoarm._support.files import expanded, user_folder
 from uoarm._version import __version__
 from uoarm.errors import PluginError
@@ -130,7 +131,9 @@ def remove(name: str) -> None:
     try:
         shutil.rmtree(folder)
     except OSError as error:
-        raise PluginEnvironmentError(f"environment {name!r} cannot be removed: {error}") from error
+        raise PluginEnvironmentError(
+            f"environment {name!r} cannot be removed: {reason_of(error)}"
+        ) from error
 
 
 def passed_on(inherited: Mapping[str, str], *, is_environment: bool) -> dict[str, str]:
@@ -225,7 +228,7 @@ def examine(environment: Environment) -> EnvironmentFinding:
     try:
         done = _run(environment_python(name), "-I", "-c", _QUESTION)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return EnvironmentFinding(name, {}, f"its interpreter does not run: {error}")
+        return EnvironmentFinding(name, {}, f"its interpreter does not run: {reason_of(error)}")
     if done.returncode != 0:
         last = done.stderr.strip().rpartition("\n")[2]
         return EnvironmentFinding(name, {}, f"it lacks what a host needs: {last}")

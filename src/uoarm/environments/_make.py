@@ -23,7 +23,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
 from uoarm._origin import installed, origin_of
-from uoarm._raised import on_failure
+from uoarm._raised import on_failure, reason_of
 from uoarm._spelling import did_you_mean
 from uoarm._support.files import write_whole
 from uoarm.bridge._registry import known_plugins, plugins_of_core
@@ -241,7 +241,9 @@ def create(
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
         if isinstance(error, OSError):
-            raise PluginEnvironmentError(f"environment {name!r} cannot be made: {error}") from error
+            raise PluginEnvironmentError(
+                f"environment {name!r} cannot be made: {reason_of(error)}"
+            ) from error
         raise
     return interpreter
 

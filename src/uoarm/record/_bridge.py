@@ -11,7 +11,7 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm._raised import on_failure
+from uoarm._raised import on_failure, reason_of
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -227,7 +227,8 @@ class _RecordedSource(Source):
         except BridgeError as error:
             bridge.ended(self, Health.LOST, str(error))
         except OSError as error:
-            bridge.ended(self, Health.LOST, f"{bridge._path} cannot be read on: {error}")  # noqa: SLF001
+            why = reason_of(error, bridge._path)  # noqa: SLF001
+            bridge.ended(self, Health.LOST, f"{bridge._path} cannot be read on: {why}")  # noqa: SLF001
         except Exception as error:  # noqa: BLE001 - whatever it is: consumers wait for no thread
             bridge.ended(self, Health.LOST, f"{bridge._path}: {text_of(error)}")  # noqa: SLF001
         else:

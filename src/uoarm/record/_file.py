@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from attrs import evolve, frozen
 
 from uoarm._origin import install_command
+from uoarm._raised import reason_of
 from uoarm._secrets import without_secrets
 from uoarm._support.files import UnreadableFileError, lock_path, read_octets
 from uoarm._version import __version__
@@ -73,7 +74,7 @@ def _create(path: Path) -> tuple[Path, int]:
             with suppress(FileExistsError):
                 return numbered, os.open(numbered, _NEW, 0o666)
     except (OSError, ValueError) as error:  # the latter for names that no file may have
-        raise UsageError(f"{path} cannot be made: {error}") from error
+        raise UsageError(f"{path} cannot be made: {reason_of(error, path)}") from error
     raise AssertionError("numbers do not end")
 
 
@@ -164,7 +165,7 @@ class McapFile:
         except OSError as error:
             self._output.close()
             self.path.unlink(missing_ok=True)
-            raise UsageError(f"{path} cannot be written: {error}") from error
+            raise UsageError(f"{path} cannot be written: {reason_of(error, path)}") from error
 
     def begin(self, profile: str) -> None:
         """Write the header; the profile is `ros2` where every channel is one of ROS 2."""

@@ -17,7 +17,7 @@ from typing_extensions import Self
 
 from uoarm._encodable import encodable
 from uoarm._interrupts import put_off, wait_for
-from uoarm._raised import LimitedLog, Log, contained, on_failure, sentence_of, text_of
+from uoarm._raised import LimitedLog, Log, contained, on_failure, reason_of, sentence_of, text_of
 from uoarm.errors import UoarmError, UsageError
 from uoarm.model import Gap, Message, StatusEvent
 from uoarm.record._arrivals import (
@@ -197,7 +197,7 @@ class Recording:
         try:
             return written.result()
         except OSError as error:
-            raise UsageError(f"the ring cannot be written: {error}") from error
+            raise UsageError(f"the ring cannot be written: {reason_of(error)}") from error
 
     def close(self) -> None:
         """End it: write what has come, close the file. Idempotent; waits a minute at most."""
@@ -285,7 +285,7 @@ class Recording:
         try:
             self._write_all()
         except OSError as error:
-            self._fail(f"{self._path}: {error.strerror or error}")
+            self._fail(f"{self._path}: {reason_of(error, self._path)}")
         except Exception as error:  # noqa: BLE001 - whatever it is, it ends the recording only
             self._fail(text_of(error))
         finally:
@@ -524,7 +524,7 @@ class Recording:
                     self._drop("unwritten", count)
                 file.abandon()
             except OSError as error:
-                _log.warning("%s: %s", self._subject, error)
+                _log.warning("%s: %s", self._subject, reason_of(error))
             self._octets_before += file.octets
 
     # The ring.
@@ -567,8 +567,7 @@ class Recording:
             found = self._write_ring(ring, self._unwritten_failure)
         except (OSError, UoarmError) as error:
             found = error
-            text = getattr(error, "strerror", None) or error
-            self._records.write(logging.ERROR, f"{self._subject}: {text}")
+            self._records.write(logging.ERROR, f"{self._subject}: {reason_of(error)}")
         for written in calls:
             written.set_result(found) if isinstance(found, str) else written.set_exception(found)
 

@@ -17,6 +17,7 @@ from uoarm.bridge import (
     DeclaredOptions,
     EndpointOptions,
     TlsOptions,
+    host_of,
     option,
     renewed,
 )
@@ -127,6 +128,7 @@ class BrokerOptions(BridgeOptions):
 
     def check_together(self) -> None:
         """Refuse options of which one asks for, or excludes, another."""
+        host_of(self.url)
         host, _, is_secure = self.place
         if self.tls is not None and not is_secure:
             raise ValueError("`tls` goes with a url that begins with mqtts://")

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from attrs import frozen
 from typing_extensions import Self
 
-from uoarm.bridge import Registry, install_command
+from uoarm.bridge import Registry, install_command, reason_of
 from uoarm.config import load
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, format_status, to_json, write_json
@@ -268,7 +268,7 @@ class Browser:
             )
         except (OSError, RuntimeError) as error:
             raise BridgeError(
-                f"the network cannot be listened to for managers: {error}",
+                f"the network cannot be listened to for managers: {reason_of(error)}",
                 FailureReason.UNAVAILABLE,
             ) from error
         self._browser = ServiceBrowser(self._network, SERVICE, handlers=[self._changed])

@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from websockets.exceptions import InvalidHandshake, InvalidMessage, InvalidStatus
+from websockets.exceptions import InvalidHandshake, InvalidStatus
 
 from uoarm.bridge import (
     Backoff,
@@ -27,6 +27,8 @@ from uoarm.bridge import (
     Log,
     WorkerExecutor,
     asking_managers,
+    other_protocol,
+    reason_of,
     redirection,
     refusal,
     refuse_loop,
@@ -534,9 +536,8 @@ def why_unreachable(error: BaseException, url: str) -> str:
         return where
     if isinstance(error, InvalidStatus):
         return _refusal(error)
-    if isinstance(error, InvalidMessage):
-        tls = ": with TLS it is wss://" if url.startswith("ws:") else ""
-        return f"no HTTP/1.1 is spoken there{tls}"
+    if said := other_protocol(error, url):
+        return said
     if isinstance(error, ConnectionRefusedError):
         return "nothing listens there: does `uoarm serve` run?"
     return tls_fault(error, "compare `fingerprint` with what `uoarm serve` prints there")
@@ -545,11 +546,12 @@ def why_unreachable(error: BaseException, url: str) -> str:
 def _token(path: Path) -> str:
     """Read a token, as it is shown: the file may have been renewed since the last time."""
     try:
-        with path.open(encoding="ascii") as stream:
+        with path.open(encoding="ascii", errors="replace") as stream:
             token = stream.read(_MOST_TOKEN).strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"the token file {path} cannot be read: {error}") from error
-    if not token or len(token.split()) != 1:
+    except OSError as error:
+        why = reason_of(error, path)
+        raise ConfigurationError(f"the token file {path} cannot be read: {why}") from error
+    if not token.isascii() or len(token.split()) != 1:
         raise ConfigurationError(f"the token file {path}: expected one token and nothing else")
     return token
 

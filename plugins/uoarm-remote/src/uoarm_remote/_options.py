@@ -6,7 +6,7 @@ import re
 
 from attrs import frozen
 
-from uoarm.bridge import BridgeOptions, EndpointOptions, TlsOptions, address_check, option
+from uoarm.bridge import BridgeOptions, EndpointOptions, TlsOptions, address_check, host_of, option
 
 _SECONDS = {"type": "number", "exclusiveMinimum": 0}
 _FINGERPRINT = {
@@ -49,7 +49,8 @@ class ManagerOptions(BridgeOptions):
     )
 
     def check_together(self) -> None:
-        """Refuse what goes with TLS only, and two kinds of trust at once."""
+        """Refuse what is no address, what goes with TLS only, and two kinds of trust at once."""
+        host_of(self.url)
         secured = self.url.startswith("wss:")
         if not secured and (self.tls is not None or self.fingerprint is not None):
             raise ValueError("`tls` and `fingerprint` go with a `url` that begins with wss://")

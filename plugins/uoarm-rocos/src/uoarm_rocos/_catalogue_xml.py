@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from uoarm.bridge import reason_of
 from uoarm.errors import ConfigurationError
 from uoarm_rocos._catalogue import (
     INT64,
@@ -217,7 +218,7 @@ def load_catalogue(path: str | Path) -> DeviceCatalogue:
         data = _octets(Path(path))
         return read_catalogue(parse(data, MessageLimits(octets=_MOST_OCTETS)))
     except (OSError, WireError) as error:
-        raise ConfigurationError(f"catalogue {str(path)!r}: {error}") from error
+        raise ConfigurationError(f"catalogue {str(path)!r}: {reason_of(error, path)}") from error
 
 
 def _octets(path: Path) -> bytes:

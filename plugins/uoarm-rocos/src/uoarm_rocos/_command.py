@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
 import sys
 import threading
@@ -12,6 +11,7 @@ from typing import Any, TypeVar
 
 import click
 
+from uoarm.bridge import reason_of
 from uoarm.cli import main as run_command
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.plugins import Command, hookimpl
@@ -167,7 +167,8 @@ def _end(line: dict[str, Any]) -> LineEnd:
     try:
         return PtyEnd(line["link"])
     except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
+        # A link is made beside its place, under another name.
+        reason = reason_of(error, error.filename2 or error.filename)
         text = f"{line['link'] or 'a tty'} cannot be opened: {reason}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import serial
 
-from uoarm.bridge import close_in_children, text_of
+from uoarm.bridge import close_in_children, reason_of
 from uoarm_rocos._framing import LineError
 from uoarm_rocos._options import LineOptions, tcp_address
 
@@ -248,7 +248,7 @@ def _write_now(descriptor: int, data: bytes, what: str) -> int:
 
 
 def _line_error(what: str, error: Exception) -> LineError:
-    return LineError(f"{what}: {text_of(error)}")
+    return LineError(f"{what}: {reason_of(error)}")
 
 
 def _is_pseudo_terminal(path: str) -> bool:

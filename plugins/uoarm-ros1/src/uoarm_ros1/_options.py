@@ -9,7 +9,14 @@ from urllib.parse import urlsplit
 
 from attrs import field, frozen
 
-from uoarm.bridge import BridgeOptions, PeerOptions, address_check, option, reading_endpoint
+from uoarm.bridge import (
+    BridgeOptions,
+    PeerOptions,
+    address_check,
+    host_of,
+    option,
+    reading_endpoint,
+)
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Endpoint, Options, Role
 
@@ -95,6 +102,11 @@ class Ros1BridgeOptions(BridgeOptions):
     def budget(self) -> Budget:
         """What one message may cost."""
         return Budget(octets=self.max_octets, elements=self.max_values)
+
+    def check_together(self) -> None:
+        """Refuse a master at what is no address."""
+        if self.master:
+            host_of(self.master)
 
 
 @frozen

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from attrs import frozen
 
+from uoarm.bridge import reason_of
 from uoarm.errors import ConfigurationError, PluginError
 from uoarm_ros2._installed import wheels
 from uoarm_ros2._interface_sources import (
@@ -297,7 +298,7 @@ def _run(words: list[str]) -> None:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise PluginError(f"{words[0]} cannot be run: {error}") from error
+        raise PluginError(f"{words[0]} cannot be run: {reason_of(error)}") from error
     if done.returncode:
         said = done.stderr.decode(errors="replace").strip()
         shown = " ".join(words[:1] + words[-3:])

@@ -26,7 +26,7 @@ from types import ModuleType
 
 from attrs import field, frozen
 
-from uoarm.bridge import Log
+from uoarm.bridge import Log, reason_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UsageError
 from uoarm.plugins import UnreadableFileError, expanded, read_octets, user_folder
 
@@ -93,7 +93,7 @@ def compile_idl(
         text = f"compiling {', '.join(files)} took longer than {_LIMIT_SECONDS:g} s"
         raise BridgeTimeoutError(text) from None
     except OSError as error:
-        text = f"the IDL compiler cannot be started: {error}"
+        text = f"the IDL compiler cannot be started: {reason_of(error)}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
     if done.returncode != 0:
         lines = "\n".join((done.stderr or done.stdout).strip().splitlines()[:20])
@@ -182,12 +182,12 @@ def _stubs(text: bytes, directory: Path, package: str, key: str, shown: str) -> 
         cache.mkdir(mode=0o700, parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix="compiling-", dir=cache))
     except (OSError, UsageError) as error:
-        why = f"compiled IDL cannot be kept: {error}"
+        why = f"compiled IDL cannot be kept: {reason_of(error)}"
         _log.warning("%s; XDG_CACHE_HOME names another folder for it", why)
         try:
             work = cache = Path(tempfile.mkdtemp(prefix="uoarm-rtm-"))
         except OSError as another:
-            reason = f"{why}; nor can it be written elsewhere: {another}"
+            reason = f"{why}; nor can it be written elsewhere: {reason_of(another)}"
             raise BridgeError(reason, FailureReason.UNAVAILABLE) from another
     try:
         (work / _MAIN).write_bytes(text)
@@ -205,7 +205,7 @@ def _stubs(text: bytes, directory: Path, package: str, key: str, shown: str) -> 
     except BridgeError as error:
         raise BridgeError(str(error).replace(str(work / _MAIN), shown), error.reason) from None
     except OSError as error:
-        reason = f"compiled IDL cannot be written: {error}"
+        reason = f"compiled IDL cannot be written: {reason_of(error)}"
         raise BridgeError(reason, FailureReason.UNAVAILABLE) from error
     finally:
         shutil.rmtree(work, ignore_errors=True)

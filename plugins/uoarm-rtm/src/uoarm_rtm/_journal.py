@@ -29,7 +29,7 @@ from _uoarm_rtm_stubs import RTC, SDOPackage
 from attrs import frozen
 from omniORB import CORBA
 
-from uoarm.bridge import Log, WorkerExecutor, at_exit
+from uoarm.bridge import Log, WorkerExecutor, at_exit, reason_of
 from uoarm.errors import BridgeError, UsageError
 from uoarm.plugins import user_folder
 from uoarm_rtm._orb import Orb, calls, limit
@@ -96,7 +96,7 @@ class Journal:
             except OSError as error:
                 self._broken = True
                 text = "connections cannot be noted in %s (%s): a kill would leave them behind"
-                _log.warning(text, self._base, error)
+                _log.warning(text, self._base, reason_of(error))
 
     def erase(self, identifier: str, token: str = "") -> None:
         """Remove an entry, whose connector has ended; also one that is not there.

@@ -24,7 +24,7 @@ from queue import SimpleQueue
 
 from typing_extensions import Self
 
-from uoarm.bridge import on_failure
+from uoarm.bridge import on_failure, reason_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._compiler import omniorb_programs
 
@@ -74,7 +74,7 @@ class NameServer:
             try:
                 folder.mkdir(parents=True, exist_ok=True)  # without it omniNames just ends
             except OSError as error:
-                text = f"the folder of its names cannot be made: {error}"
+                text = f"the folder of its names cannot be made: {reason_of(error)}"
                 raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         kept = folder if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
         self._own = None if folder is not None else kept

@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from uoarm._origin import install_command
-from uoarm._raised import Log
+from uoarm._raised import Log, reason_of
 from uoarm._support.files import stamp_of, write_whole
 from uoarm._support.tls import server_context
 from uoarm.errors import ConfigurationError
@@ -137,7 +137,9 @@ def own_certificate(folder: Path, names: Sequence[str], now: datetime | None = N
             made = _maker().make(every, moment - _EARLIER, moment + _VALID)
             write_whole(path, made, private=True)
     except OSError as error:
-        raise ConfigurationError(f"the server's own certificate: {path}: {error}") from error
+        raise ConfigurationError(
+            f"the server's own certificate: {path}: {reason_of(error, path)}"
+        ) from error
     return path
 
 
@@ -153,7 +155,9 @@ def fingerprint_of(path: Path) -> str:
         end = text.index(ssl.PEM_FOOTER, begin) + len(ssl.PEM_FOOTER)
         digest = hashlib.sha256(ssl.PEM_cert_to_DER_cert(text[begin:end])).hexdigest().upper()
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"TLS: {path}: no certificate: {error}") from error
+        raise ConfigurationError(
+            f"TLS: {path}: no certificate: {reason_of(error, path)}"
+        ) from error
     return ":".join(digest[at : at + 2] for at in range(0, len(digest), 2))
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.bridge import at_exit, install_command
+from uoarm.bridge import at_exit, install_command, reason_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm_rocos._catalogue import (
     Api,
@@ -155,7 +155,7 @@ def _library() -> tuple[Any, int]:
         data = str(espeakng_loader.get_data_path()).encode()
         hertz = int(library.espeak_Initialize(_SYNCHRONOUS, 0, data, 0))
     except (OSError, AttributeError) as error:
-        text = f"eSpeak NG cannot be loaded: {error}"
+        text = f"eSpeak NG cannot be loaded: {reason_of(error)}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
     if hertz <= 0:
         text = f"eSpeak NG did not start: {hertz}; its data should be in {data.decode()}"
@@ -218,8 +218,8 @@ class FestivalEngine(Engine):
             try:
                 return _sound(made)
             except (OSError, wave.Error, EOFError) as error:
-                text = f"Festival made no sound, perhaps for want of the voice {voice!r}: {error}"
-                raise BridgeError(text) from error
+                text = f"Festival made no sound, perhaps for want of the voice {voice!r}"
+                raise BridgeError(f"{text}: {reason_of(error)}") from error
         finally:
             shutil.rmtree(directory, ignore_errors=True)
 
@@ -237,7 +237,7 @@ class FestivalEngine(Engine):
         except subprocess.TimeoutExpired as error:
             raise BridgeTimeoutError(f"Festival took longer than {timeout:g} s") from error
         except OSError as error:
-            raise BridgeError(f"Festival cannot be started: {error}") from error
+            raise BridgeError(f"Festival cannot be started: {reason_of(error)}") from error
         if done.returncode:
             message = done.stderr.decode(errors="replace").strip()[:200]
             text = f"Festival failed, perhaps for want of the voice {voice!r}: {message}"
@@ -363,7 +363,7 @@ class Speech(Device):
         try:
             player = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)  # noqa: S603 - ours
         except OSError as error:
-            raise BridgeError(f"{command[0]} cannot be started: {error}") from error
+            raise BridgeError(f"{command[0]} cannot be started: {reason_of(error)}") from error
         with player:
             self._player = player
             if self._closed:  # before it was there to be killed
@@ -389,7 +389,7 @@ class Speech(Device):
             path = Path(self._directory) / f"{self._name}-{self._count % 100:02}.wav"
             path.write_bytes(sound.wav())
         except OSError as error:
-            raise BridgeError(f"the sound cannot be written: {error}") from error
+            raise BridgeError(f"the sound cannot be written: {reason_of(error)}") from error
         return path
 
     def _tidy(self) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import ssl
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -21,6 +20,7 @@ from uoarm.bridge import (
     Backoff,
     Disconnection,
     close_in_children,
+    other_protocol,
     redirection,
     refusal,
     tls_fault,
@@ -590,10 +590,10 @@ def _cause_of(error: Exception, url: str = "") -> str:
     if isinstance(error, InvalidStatus):
         said = refusal(error) or ("is the token right?" if _is_final(error) else "")
         return f"the server answered with {error.response.status_code}{said and f': {said}'}"
+    if said := other_protocol(error, url):
+        return said
     if isinstance(error, InvalidHandshake):
         return f"no WebSocket server answers there: {error}"
     if isinstance(error, TimeoutError):
         return "no answer in time"
-    if isinstance(error, OSError) and not isinstance(error, ssl.SSLError):
-        return error.strerror or str(error)
     return tls_fault(error)

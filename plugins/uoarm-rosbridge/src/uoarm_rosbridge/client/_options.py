@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from attrs import frozen
 
@@ -20,6 +19,7 @@ from uoarm.bridge import (
     PeerOptions,
     TlsOptions,
     address_check,
+    host_of,
     option,
     reading_endpoint,
 )
@@ -111,10 +111,7 @@ class ClientOptions(BridgeOptions):
 
     def check_together(self) -> None:
         """Refuse options of which one excludes another, and a secret on an open line."""
-        try:
-            host = urlsplit(self.url).hostname or ""
-        except ValueError as error:
-            raise ValueError(f"url {self.url}: {error}") from None
+        host = host_of(self.url)
         if self.tls is not None and not self.is_secure:
             raise ValueError(f"`tls` is for wss://, and the url is {self.url}")
         is_open = not (self.is_secure or is_loopback(host) or self.plain_secrets)

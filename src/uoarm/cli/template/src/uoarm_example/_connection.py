@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from uoarm.bridge import Backoff, text_of
+from uoarm.bridge import Backoff, reason_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 _BACKOFF = Backoff(first=0.05, most=2.0)
@@ -183,7 +183,7 @@ class ExampleConnection:
                     self._exchange(line)
             except (OSError, ValueError, RecursionError) as error:
                 failed += 1
-                self._down(text_of(error))
+                self._down(reason_of(error))
             self._rest(_BACKOFF.pause(failed))
         self._down("the bridge is closed")
         self._wake.close()
