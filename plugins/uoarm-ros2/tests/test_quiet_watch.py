@@ -53,15 +53,22 @@ class Ear:
         return self.entity.is_quiet and all(event.is_quiet for event in self.events)
 
 
+def _many_ears(runner: NodeRunner, monkeypatch: pytest.MonkeyPatch) -> dict[str, Ear]:
+    """Return subscriptions that are too many to be waited for together, from now on."""
+    ears = {topic: Ear(runner, topic) for topic in TOPICS}
+    # Only when all are there: of those that a sweep finds before, the last would be few.
+    monkeypatch.setattr(_loop, "_QUIET_SECONDS", 0.0)
+    monkeypatch.setattr(_loop, "_FEW", 2)
+    return ears
+
+
 def test_a_watch_for_which_there_is_no_thread_begins_later(
     runner: NodeRunner, peer: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_loop, "_FEW", 2)
-    monkeypatch.setattr(_loop, "_QUIET_SECONDS", 0.0)
     failures: list[str] = []
     monkeypatch.setattr(runner._records, "write", lambda _, text, error: failures.append(text))
     with no_threads("quiet"):
-        ears = {topic: Ear(runner, topic) for topic in TOPICS}
+        ears = _many_ears(runner, monkeypatch)
         wait(lambda: failures and all(ear.is_quiet for ear in ears.values()))
     talker = peer("talker")
     for topic in TOPICS:
@@ -76,10 +83,8 @@ def test_a_watch_for_which_there_is_no_thread_begins_later(
 def test_a_quiet_subscription_receives_and_is_quiet_again(
     runner: NodeRunner, peer: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_loop, "_FEW", 2)
-    monkeypatch.setattr(_loop, "_QUIET_SECONDS", 0.0)
     monkeypatch.setattr(_loop, "_SWEEP_SECONDS", 0.0)
-    ears = {topic: Ear(runner, topic) for topic in TOPICS}
+    ears = _many_ears(runner, monkeypatch)
     wait(lambda: all(ear.is_quiet for ear in ears.values()))
     talker = peer("talker")
     for topic in TOPICS:
