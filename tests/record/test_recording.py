@@ -22,13 +22,13 @@ from tests.no_threads import no_threads
 from tests.record.conftest import COUNT, OCTETS, PICTURE, ROBOT, messages, of_topic, readable
 from tests.structures import closed
 
-from uoarm import Connection, RobotManager
+from uoarm import Connection, RobotManager, record
 from uoarm._control.engine.actions import Announce
 from uoarm._control.live import connection_runtime
 from uoarm._control.live.driver import Driver
 from uoarm.cdr import Codec
 from uoarm.cli._record import summary
-from uoarm.errors import ResolutionError, UsageError
+from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
 from uoarm.model import Message, MessageStructure, QueuePolicy, Robot, StatusEvent
 from uoarm.record import Recording, RecordOptions, _recording
 from uoarm.record._file import KeptMessage, Ring, documents
@@ -68,6 +68,35 @@ def test_each_message_is_there_once_and_in_order(
     ]
     times = [message.log_time for message in messages(path)]
     assert times == sorted(times)
+
+
+def test_one_that_opened_as_the_manager_closes_is_closed_as_well(
+    bridge: MemoryBridge, make_robot: MakeRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where the server ends that records what its configuration says."""
+    made: list[Recording] = []
+    is_open, is_closed = threading.Event(), threading.Event()
+
+    class Late(Recording):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            made.append(self)
+            is_open.set()
+            assert is_closed.wait(patience())
+
+    bridge.emitter("clicks", COUNT)
+    robot = make_robot()
+    monkeypatch.setattr(record, "Recording", Late)
+    path = tmp_path / "run.mcap"
+    with ThreadPoolExecutor(1) as pool:
+        opening = pool.submit(partial(robot.record, "counter", path=path))
+        assert is_open.wait(patience())
+        robot.close()
+        is_closed.set()
+        with pytest.raises(ConnectionClosedError):
+            opening.result(patience())
+    assert made[0].ended
+    assert of_topic(path, "/counter") == []
 
 
 def test_the_file_says_what_it_rests_on_and_no_secrets(

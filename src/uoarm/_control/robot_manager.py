@@ -351,6 +351,9 @@ class RobotManager(RobotView):
             identity=f"r{next(self._recording_numbers)}",
         )
         self._recordings[recording.id] = recording
+        if self._driver.state.is_closing:  # meanwhile, and did not see it
+            recording.close()
+            self._require_open()
         ended = [kept for kept, other in tuple(self._recordings.items()) if other.ended]
         for kept in ended[:-_ENDED_RECORDINGS]:
             self._recordings.pop(kept, None)
@@ -470,16 +473,20 @@ class RobotManager(RobotView):
                 return
             self._driver.live.emergency_stop.begin_close()
             self._unobserve()
-            for recording in tuple(self._recordings.values()):
-                recording.close()
+            self._close_recordings()
             self._discovery.close()
             self._candidates.close()
             self._staleness.close()
             self._driver.offers.close()
             self._driver.close()
+            self._close_recordings()  # that were opened meanwhile: now `record` sees that it closes
             for failure in self._bridges.close():
                 _log.warning("%s", failure)
             self._events.close()
+
+    def _close_recordings(self) -> None:
+        for recording in tuple(self._recordings.values()):
+            recording.close()
 
     def _noticed(self, event: HealthEvent) -> None:
         if not self._driver.offers.reported(event):

@@ -156,7 +156,12 @@ def serve(
     if len(ports) < len(front_end_ports):
         raise click.UsageError("a front end has one further port, and is given two")
     stop_file = stop_file_of(file)
-    with stop_signals() as use, exporting(otlp), open_robot(file, stop_file) as manager:
+    with (
+        stop_signals() as use,
+        exporting(otlp),
+        _beginning() as begin,
+        open_robot(file, stop_file) as manager,
+    ):
         use(manager)  # before anything is opened: what is may move at once
         with needing("server"):
             from uoarm.server import ServerOptions, run  # noqa: PLC0415 - an extra, and slow
@@ -171,9 +176,7 @@ def serve(
                 announcement.start(server.ports[0])
             # Not before: what cannot be served starts no part of the robot. Beside the server,
             # which answers while what is recorded opens.
-            threading.Thread(
-                target=_begin, args=(manager,), name="uoarm-serve-begin", daemon=True
-            ).start()
+            begin(manager)
 
         try:
             with _reloading(manager, watch=watch_config), announcement or nullcontext():
@@ -181,6 +184,27 @@ def serve(
         except ListenError as error:
             error.name_option(port_options(chosen))
             raise
+
+
+@contextmanager
+def _beginning() -> Iterator[Callable[[RobotManager], None]]:
+    """Begin what a configuration offers and records beside the block, and wait for that to end.
+
+    Around the manager: what still opens ends as that closes, and leaves no file that is not whole.
+    """
+    threads: list[threading.Thread] = []
+
+    def begin(manager: RobotManager) -> None:
+        name = "uoarm-serve-begin"
+        thread = threading.Thread(target=_begin, args=(manager,), name=name, daemon=True)
+        thread.start()
+        threads.append(thread)
+
+    try:
+        yield begin
+    finally:
+        for thread in threads:
+            thread.join(_END_SECONDS)
 
 
 def _begin(manager: RobotManager) -> None:
