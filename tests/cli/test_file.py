@@ -160,7 +160,7 @@ def test_what_this_user_may_not_read_is_a_file_that_cannot_be_read(
 
 
 @pytest.mark.parametrize("words", [["lock"], ["types", "--python"]])
-@pytest.mark.parametrize("place", ["", ".", "/"])
+@pytest.mark.parametrize("place", [".", "/"])
 def test_no_lock_is_sought_beside_a_folder(words: list[str], place: str) -> None:
     done = run(*words, place)
     assert (done.exit_code, done.stdout) == (3, "")

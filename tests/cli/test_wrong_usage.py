@@ -344,3 +344,76 @@ def test_whatever_reads_a_file_says_in_the_same_words_that_it_is_not_utf8(
     sentence = "the file is not UTF-8: byte 14 cannot be decoded (save it as UTF-8)"
     assert sentence in done.stderr, done.output
     assert done.exit_code == (2 if words[0] == "schema" else 3)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("record camera -o x.mcap --max-size huge", "'huge' is no size"),
+        ("record camera -o x.mcap --split soon", "'soon' is neither a size nor a time"),
+        ("record camera -o x.mcap --ring 5 --split 5MB", "leave out ring or split"),
+        ("record camera camera -o x.mcap", "a function is named twice"),
+        ("certificates --manager a/b --machine arm", "the manager cannot be reached at 'a/b'"),
+        ("certificates --manager here --machine a/b", "a machine cannot be called 'a/b'"),
+        ("env create a/b --plugin python", "'a/b' cannot be the name of an environment"),
+        ("env remove a/b", "'a/b' cannot be the name of an environment"),
+        ("serve robot.yaml --origin pages.example", "expected SCHEME://HOST[:PORT] or *"),
+        ("serve robot.yaml --origin http://pages.example/", "expected SCHEME://HOST[:PORT] or *"),
+        ("serve robot.yaml --allow-host http://robot", "expected the name of a host"),
+        ("list --url wss://127.0.0.1:1/ --fingerprint 12:34", "expected SHA-256, 64 hexadecimal"),
+        ("list --url ws://127.0.0.1:1/ --token \x07", "expected one line of visible characters"),
+    ],
+)
+def test_a_value_that_cannot_be_one_is_refused_before_anything_is_done(
+    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if words.startswith("certificates"):
+        pytest.importorskip("cryptography", reason="pip install -e '.[certificates]'")
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(main, words.split(" "))
+    assert (done.exit_code, said in done.stderr) == (2, True), done.output
+    assert done.stderr.splitlines()[-1] == "uoarm explain UOA-002 says more"
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_current_folder_is_no_empty_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(main, ["new-bridge", "mine", "--into", "."])
+    assert (done.exit_code, (tmp_path / "uoarm-mine").is_dir()) == (0, True), done.output
+
+
+def _empty_words() -> Iterator[tuple[str, ...]]:
+    """Yield the words of each command with each of its words empty that has a meaning."""
+    root = click.Context(main)
+    commands = [(words, main.get_command(root, words[0])) for words in _commands() if words]
+    for words, group in commands:
+        if words[0] not in COMMANDS:
+            continue
+        command = group
+        if isinstance(group, click.Group) and len(words) > 1:
+            command = group.get_command(root, words[1])
+        assert command is not None
+        for parameter in command.params:
+            if isinstance(parameter, click.Option) and parameter.is_flag:
+                continue
+            if parameter.name in {"cause", "message"}:
+                continue
+            yield (
+                (*words, *parameter.opts[-1:], "")
+                if isinstance(parameter, click.Option)
+                else (
+                    *words,
+                    "",
+                )
+            )
+
+
+@for_all("words", _empty_words(), " ".join)
+def test_an_empty_word_is_wrong_usage(words: tuple[str, ...]) -> None:
+    done = CliRunner().invoke(main, words)
+    assert (done.exit_code, done.stderr.splitlines()[-1:]) == (
+        2,
+        ["uoarm explain UOA-002 says more"],
+    ), done.output

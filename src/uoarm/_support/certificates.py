@@ -36,6 +36,7 @@ MANAGER = "manager"
 """The name of the manager's certificate."""
 _AUTHORITY = "ca"
 _SUBJECT = "uoarm robot"
+_ADDRESS = re.compile(r"[A-Za-z0-9._:-]+")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")  # 64: the longest common name of X.509
 _AUTHORITY_DAYS = 3650
 _CLOCKS_DIFFER = dt.timedelta(hours=1)
@@ -119,6 +120,30 @@ def _general_name(name: str) -> x509.GeneralName:
         return x509.DNSName(name)
 
 
+def check_address(address: str) -> None:
+    """Refuse what cannot be the address of a manager.
+
+    Raises:
+        UsageError: it is neither an IP address nor a name.
+    """
+    if not _ADDRESS.fullmatch(address):
+        text = "expected an IP address, or a name in ASCII (xn--... for any other)"
+        raise UsageError(f"the manager cannot be reached at {address!r}: {text}")
+
+
+def check_machine(name: str) -> None:
+    """Refuse what cannot be the name of a machine.
+
+    Raises:
+        UsageError: it is none.
+    """
+    if not _NAME.fullmatch(name) or name in {_AUTHORITY, MANAGER}:
+        raise UsageError(
+            f"a machine cannot be called {name!r}: letters, digits, _ and -, a letter or _ "
+            f"first, 64 at most, and neither {_AUTHORITY!r} nor {MANAGER!r}"
+        )
+
+
 @frozen
 class Authority:
     """Who signs the certificates of one robot.
@@ -157,9 +182,7 @@ class Authority:
             UsageError: there is one already, an address is none, or it cannot be written.
         """
         for address in addresses:
-            if not address or not address.isascii():
-                text = "expected an IP address, or a name in ASCII (xn--... for any other)"
-                raise UsageError(f"the manager cannot be reached at {address!r}: {text}")
+            check_address(address)
         return self._certify(MANAGER, addresses, ExtendedKeyUsageOID.SERVER_AUTH, days)
 
     def certify_machine(self, name: str, days: int) -> Path:
@@ -169,11 +192,7 @@ class Authority:
             UsageError: there is one already, no machine can have this name, or it cannot be
                 written.
         """
-        if not _NAME.fullmatch(name) or name in {_AUTHORITY, MANAGER}:
-            raise UsageError(
-                f"a machine cannot be called {name!r}: letters, digits, _ and -, a letter or _ "
-                f"first, 64 at most, and neither {_AUTHORITY!r} nor {MANAGER!r}"
-            )
+        check_machine(name)
         return self._certify(name, [name], ExtendedKeyUsageOID.CLIENT_AUTH, days)
 
     def _certify(

@@ -39,6 +39,7 @@ from uoarm.cli._shared import (
     fail,
     importing,
     print_failure,
+    refuse_empty_words,
     terminable,
 )
 from uoarm.errors import CommandLineError, PluginError, UoarmError, UsageError
@@ -158,6 +159,7 @@ class PluginGroup(click.Group):
                 found: click.Command = getattr(import_module(f"uoarm.cli.{module}"), attribute)
             add_log_options(found)
             keep_apart(found)
+            refuse_empty_words(found)
             self.add_command(found, cmd_name)
             return found
         point = next(

@@ -23,6 +23,7 @@ from uoarm.cli._shared import (
     print_error,
     print_failure,
     print_json,
+    reading_words,
     takes_configuration,
 )
 from uoarm.errors import UoarmError
@@ -32,6 +33,7 @@ from uoarm.record import (
     Recording,
     RecordingCheck,
     RecordingStatus,
+    RecordOptions,
     check_recording,
 )
 
@@ -79,6 +81,11 @@ def record(
     what was recorded and what was lost. The exit code is 4 where the file could not be written on,
     a function failed, or nothing came of any.
     """
+    given = {name: value for name, value in options.items() if value is not None}
+    with reading_words():
+        RecordOptions.of(**given)
+    if len(set(functions)) < len(functions):
+        raise click.UsageError("a function is named twice")
     with _dumping() as recordings, open_robot(file) as robot:
         settings = robot.config.record
         if not functions and settings is None:
@@ -91,7 +98,7 @@ def record(
             raise click.UsageError("say into which file: -o run.mcap")
         if str(output) == "-":
             raise click.UsageError("-o -: a recording is no stream; name a file, such as run.mcap")
-        with robot.record(*functions, path=output, **options) as recording:
+        with robot.record(*functions, path=output, **given) as recording:
             recordings.append(recording)
             with suppress(KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how it ends
                 _follow(recording, as_json=as_json)

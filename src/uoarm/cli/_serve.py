@@ -53,7 +53,26 @@ _BEGINS_STOPPED = (
     "`uoarm stop --release --url URL` or SIGUSR2 lets them through. It is kept in"
 )
 _LAST_PORT = 65_535
+# As a browser sends it, and as a client names a server: what is written otherwise matches nothing.
+_ORIGIN = re.compile(r"\*|null|[a-z][a-z0-9+.-]*://[^\s/@?#]+")
+_HOST = re.compile(r"[^\s/@?#]+")
 _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+
+
+def _like(form: re.Pattern[str], expected: str) -> Callable[..., tuple[str, ...]]:
+    """Return what refuses texts of another form."""
+
+    def check(
+        context: click.Context, parameter: click.Parameter, given: tuple[str, ...]
+    ) -> tuple[str, ...]:
+        for text in given:
+            if not form.fullmatch(text):
+                wrong = f"expected {expected}, got {text!r}"
+                raise click.BadParameter(wrong, context, parameter)
+        return given
+
+    return check
+
 
 _LISTENING = (
     click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on."),
@@ -92,10 +111,18 @@ def listening_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Short for --front-end-port rosbridge=PORT.",
 )
 @click.option(
-    "--origin", "origins", multiple=True, help="Origin of web pages that may connect; * for all."
+    "--origin",
+    "origins",
+    multiple=True,
+    callback=_like(_ORIGIN, "SCHEME://HOST[:PORT] or *"),
+    help="Origin of web pages that may connect; * for all.",
 )
 @click.option(
-    "--allow-host", "hosts", multiple=True, help="A further name of this server on loopback."
+    "--allow-host",
+    "hosts",
+    multiple=True,
+    callback=_like(_HOST, "the name of a host"),
+    help="A further name of this server on loopback.",
 )
 @click.option(
     "--tls",

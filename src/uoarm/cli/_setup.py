@@ -24,8 +24,10 @@ from uoarm.cli._shared import (
     needing,
     print_json,
     print_warning,
+    reading_words,
     reporting,
 )
+from uoarm.errors import PluginError
 
 _NONE = "there are no environments: make one with uoarm env create NAME --plugin PLUGIN"
 
@@ -55,6 +57,8 @@ def create(
 
     A bridge runs in it with `host: {environment: NAME}`.
     """
+    with reading_words(PluginError):
+        environments.environment_folder(name)
     with reporting():
         wanted = environments.requirements(plugin, distribution, more)
         made = environments.create(
@@ -97,6 +101,8 @@ def list_environments(*, as_json: bool) -> None:
 @click.argument("name")
 def remove(name: str) -> None:
     """Remove the environment NAME."""
+    with reading_words(PluginError):
+        environments.environment_folder(name)
     with reporting():
         environments.remove(name)
     echo(f"environment {name} is removed")
@@ -152,8 +158,13 @@ def certificates(
         raise click.UsageError("say for whom: --manager ADDRESS, --machine NAME, or both")
     with reporting():
         with needing("certificates"):
-            from uoarm._support.certificates import Authority  # noqa: PLC0415 - needs an extra
-        authority = Authority.of(Path(folder))
+            from uoarm._support import certificates as made_here  # noqa: PLC0415 - an extra
+        with reading_words():  # before anything is made
+            for address in addresses:
+                made_here.check_address(address)
+            for machine in machines:
+                made_here.check_machine(machine)
+        authority = made_here.Authority.of(Path(folder))
         if addresses:
             echo(f"the manager: {authority.certify_manager(addresses, days)}")
         for machine in machines:

@@ -8,7 +8,7 @@ import signal
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -213,6 +213,51 @@ def reporting() -> Iterator[None]:
     except KeyboardInterrupt:
         echo("interrupted", err=True)
         sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def reading_words(kind: type[errors.UoarmError] = errors.UsageError) -> Iterator[None]:
+    """Have what is wrong with the words of a command be wrong usage, whatever finds it.
+
+    Raises:
+        click.UsageError: the block, which reads words and does nothing else, raised such an error.
+    """
+    try:
+        yield
+    except kind as error:
+        raise click.UsageError(str(error)) from error
+
+
+_MAY_BE_EMPTY = frozenset({"cause", "message"})
+
+
+def refuse_empty_words(command: click.Command) -> None:
+    """Have a command, and all commands in it, refuse empty text: no name or file is that.
+
+    It comes of a variable that a script has not set, and would stand for the current folder, for
+    every address, or for a name that nothing has.
+    """
+    for parameter in command.params:
+        if parameter.name not in _MAY_BE_EMPTY:
+            # Before it is converted: an empty path becomes that of the current folder.
+            consume = functools.partial(_consume, parameter, parameter.consume_value)
+            setattr(parameter, "consume_value", consume)  # noqa: B010 - a method
+    if isinstance(command, click.Group):
+        for member in command.commands.values():
+            refuse_empty_words(member)
+
+
+def _consume(
+    parameter: click.Parameter,
+    consume: Callable[..., tuple[Any, ParameterSource]],
+    context: click.Context,
+    words: Mapping[str, Any],
+) -> tuple[Any, ParameterSource]:
+    value, source = consume(context, words)
+    given = value if isinstance(value, tuple | list) else (value,)
+    if source is ParameterSource.COMMANDLINE and "" in given and not context.resilient_parsing:
+        raise click.BadParameter("expected some text, got ''", context, parameter)
+    return value, source
 
 
 @contextmanager
