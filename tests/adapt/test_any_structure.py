@@ -13,8 +13,7 @@ from tests.schema._strategies import Body, schemas
 from uoarm._adapt import adapt, parse
 from uoarm._adapt._mapping import Structure, UnfitError, leaves, write_path
 from uoarm.errors import MessageError
-from uoarm.testing._instance_builder import DrawnChoices
-from uoarm.testing._instances import find_instance
+from uoarm.testing._instances import DrawnChoices, find_instance
 
 NUMBERS = st.sampled_from([0, 1, -1, 2, 3, -7, 0.5, -2.5, 1e300, 10**20])
 

@@ -18,8 +18,7 @@ from tests.sweeps import for_all
 from uoarm.bridge._compiled_check import Accepts, compile_check
 from uoarm.bridge._full_validator import validator_of
 from uoarm.model import Message, Schema
-from uoarm.testing._instance_builder import Builder, DrawnChoices
-from uoarm.testing._instances import mutate
+from uoarm.testing._instances import Builder, DrawnChoices, mutate
 
 FLOAT32 = {"type": "number", "minimum": -3.4028234663852886e38, "maximum": 3.4028234663852886e38}
 NONFINITE = FLOAT32 | {"x-nonfinite": True}

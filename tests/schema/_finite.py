@@ -9,12 +9,12 @@ from tests.schema._hand_schemas import hand_schema
 from tests.schema._reference import Reference, frozen
 from tests.schema._universe import SCALARS
 
-from uoarm.testing._instance_builder import chance
+from uoarm.testing._instances import chance
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from uoarm.testing._instance_builder import Choices
+    from uoarm.testing._instances import Choices
 
 Schema = dict[str, object]
 Finite = tuple[Schema, list[object]]

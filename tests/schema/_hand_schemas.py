@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from tests.schema._patterns import SAMPLES
 
-from uoarm.testing._instance_builder import Choices, chance
+from uoarm.testing._instances import Choices, chance
 
 Schema = dict[str, object]
 Inner = Callable[[], Schema | bool]

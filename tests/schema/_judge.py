@@ -15,7 +15,7 @@ from uoarm.testing._instances import find_instance
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from uoarm.testing._instance_builder import Choices
+    from uoarm.testing._instances import Choices
 
 Body = bool | dict[str, object]
 

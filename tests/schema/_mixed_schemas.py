@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from tests.schema._hand_schemas import KINDS, WRITERS, Schema, logic
 from tests.schema._rewrites import negated
 
-from uoarm.testing._instance_builder import Choices, chance
+from uoarm.testing._instances import Choices, chance
 
 Body = bool | dict[str, object]
 

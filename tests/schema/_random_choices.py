@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from tests.schema._patterns import SAMPLES
 
-from uoarm.testing._instance_builder import CHARACTERS
+from uoarm.testing._instances import CHARACTERS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

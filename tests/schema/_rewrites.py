@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from uoarm.testing._instance_builder import Choices, chance
+from uoarm.testing._instances import Choices, chance
 
 if TYPE_CHECKING:
     from collections.abc import Callable

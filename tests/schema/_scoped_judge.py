@@ -17,14 +17,14 @@ from tests.schema._scoped_schemas import (
 from tests.schema._worlds import InPlaceError, Meaning, World, world
 
 from uoarm.schema import SchemaError, Verdict, check
-from uoarm.testing._instance_builder import chance
+from uoarm.testing._instances import chance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from tests.schema._scoped_schemas import Body, Pair, Schema
 
-    from uoarm.testing._instance_builder import Choices
+    from uoarm.testing._instances import Choices
 
 GENERATORS = {"dynamic": dynamic_pair, "recursive": recursive_pair, "far": far_pair}
 _WORLDS_OUTSIDE = 3

@@ -6,10 +6,10 @@ import json
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from uoarm.testing._instance_builder import chance
+from uoarm.testing._instances import chance
 
 if TYPE_CHECKING:
-    from uoarm.testing._instance_builder import Choices
+    from uoarm.testing._instances import Choices
 
 DRAFT_2019 = "https://json-schema.org/draft/2019-09/schema"
 ROOT = "http://robots.example/root"

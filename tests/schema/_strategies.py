@@ -9,7 +9,7 @@ from tests.schema._hand_schemas import hand_schema
 from tests.schema._rewrites import equivalent, loosened, tightened
 from tests.schema._robot_schemas import robot_schema
 
-from uoarm.testing._instance_builder import Choices, DrawnChoices
+from uoarm.testing._instances import Choices, DrawnChoices
 
 if TYPE_CHECKING:
     from collections.abc import Callable

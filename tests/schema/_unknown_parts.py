@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from tests.schema._judge import Body
 
-    from uoarm.testing._instance_builder import Choices
+    from uoarm.testing._instances import Choices
 
 UNKNOWN: dict[str, object] = {"$ref": "http://unknown.example/schema"}
 _SINGLES = (

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 from tests.schema._reference import Reference
 from tests.schema._rewrites import negated
 
-from uoarm.testing._instance_builder import chance
+from uoarm.testing._instances import chance
 
 if TYPE_CHECKING:
-    from uoarm.testing._instance_builder import Choices
+    from uoarm.testing._instances import Choices
 
 Schema = dict[str, object]
 Body = bool | Schema

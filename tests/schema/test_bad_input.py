@@ -13,7 +13,7 @@ from tests.schema._random_choices import RandomChoices
 from tests.schema._strategies import Body, any_schema, schemas
 
 from uoarm.schema import SchemaError, check
-from uoarm.testing._instance_builder import Choices, DrawnChoices, chance
+from uoarm.testing._instances import Choices, DrawnChoices, chance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

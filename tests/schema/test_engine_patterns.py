@@ -16,10 +16,10 @@ from tests.schema._random_choices import RandomChoices
 
 from uoarm.schema import CheckBudget, SchemaError, check
 from uoarm.schema.regex import found_in
-from uoarm.testing._instance_builder import chance
+from uoarm.testing._instances import chance
 
 if TYPE_CHECKING:
-    from uoarm.testing._instance_builder import Choices
+    from uoarm.testing._instances import Choices
 
 TEXTS = ["".join(row) for n in range(5) for row in product("a1- \n"[: 5 if n < 4 else 3], repeat=n)]
 _ATOMS = ("a", "1", "-", ".", "[a1]", "[^a]", r"\d", r"\w", r"\W", r"\s", "^", "$", r"\b", r"\B")

@@ -10,8 +10,7 @@ from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference
 from tests.schema._strategies import Body, schemas
 
-from uoarm.testing._instance_builder import DrawnChoices
-from uoarm.testing._instances import find_instance, instances
+from uoarm.testing._instances import DrawnChoices, find_instance, instances
 
 MESSAGE: Body = {
     "type": "object",

@@ -13,8 +13,7 @@ from tests.schema._strategies import Pair, pairs, schemas
 from tests.schema._universe import universe
 
 from uoarm.schema import CheckBudget, check
-from uoarm.testing._instance_builder import DrawnChoices
-from uoarm.testing._instances import find_instance
+from uoarm.testing._instances import DrawnChoices, find_instance
 
 EVERYTHING = tuple(universe())
 

@@ -14,14 +14,14 @@ from tests.schema._universe import universe
 from tests.schema._watching import watching_pair
 
 from uoarm.schema import check
-from uoarm.testing._instance_builder import chance
+from uoarm.testing._instances import chance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tests.schema._judge import Body
 
-    from uoarm.testing._instance_builder import Choices
+    from uoarm.testing._instances import Choices
 
     Known = tuple[Body, Body, str]
 

@@ -12,8 +12,7 @@ from tests.schema._ecma import UnsupportedPatternError, compiled
 from tests.schema._reference import Reference, UnsupportedSchemaError
 from tests.schema._strategies import Body, schemas
 
-from uoarm.testing._instance_builder import Builder, DrawnChoices
-from uoarm.testing._instances import mutate
+from uoarm.testing._instances import Builder, DrawnChoices, mutate
 
 if TYPE_CHECKING:
     from tests.schema._official import Group

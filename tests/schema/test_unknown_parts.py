@@ -10,14 +10,14 @@ from tests.schema._random_choices import RandomChoices
 from tests.schema._unknown_parts import PAIRS, UNKNOWN, fillings, places, replaced
 
 from uoarm.schema import check
-from uoarm.testing._instance_builder import chance
+from uoarm.testing._instances import chance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tests.schema._judge import Body
 
-    from uoarm.testing._instance_builder import Choices
+    from uoarm.testing._instances import Choices
 
 
 @pytest.mark.parametrize(
