@@ -22,7 +22,7 @@ from websockets.typing import Subprotocol
 
 from uoarm import RobotManager
 from uoarm._wire import protocol_schema, read_binary, write_binary
-from uoarm.client._answers import checked_answer
+from uoarm.client._requests import checked_answer
 from uoarm.model import Budget, BudgetUse, ConnectionState
 from uoarm.testing import patience, wait
 

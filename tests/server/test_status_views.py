@@ -10,7 +10,7 @@ from tests.server.test_role_views import ALL, BLIND, GUEST, ROBOT, STATUS
 from tests.sweeps import for_all
 
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form, read_binary, read_text
-from uoarm.client._answers import merged_status
+from uoarm.client._requests import merged_status
 from uoarm.model import Budget, BudgetUse, RouteStatus, StatusMap, to_json
 from uoarm.server.access import AccessRole, RoleViews
 from uoarm.server.session._views import StatusQuestion, StatusViews, visible_status

@@ -6,10 +6,9 @@ Needs the packages of the extra `server`.
 from uoarm._origin import requiring
 
 with requiring("server", "uoarm.client"):
-    from uoarm.client._answers import ServerError
     from uoarm.client._client import RemoteRobot
     from uoarm.client._connect import ServerAddress, connect, trust_fingerprint
-    from uoarm.client._questions import ThreadAnswer
+    from uoarm.client._requests import ServerError, ThreadAnswer
     from uoarm.client._stream import RemoteStream
 
 __all__ = [

@@ -17,9 +17,16 @@ from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import Form
 from uoarm.bridge import boot_seconds
-from uoarm.client._answers import NOTICES, checked, checked_answer, error_of, merged_status
 from uoarm.client._link import CONNECTING_ERRORS, Link, Open
-from uoarm.client._questions import ServerQuestions, ThreadAnswer
+from uoarm.client._requests import (
+    NOTICES,
+    ServerQuestions,
+    ThreadAnswer,
+    checked,
+    checked_answer,
+    error_of,
+    merged_status,
+)
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode, find_trouble
 

@@ -21,7 +21,7 @@ from uoarm._raised import on_failure, text_of
 from uoarm._support.aio_deadlines import result_within
 from uoarm._wire import LARGEST, Form
 from uoarm.bridge import boot_seconds
-from uoarm.client._answers import KEPT, RESUMED, checked, error_of
+from uoarm.client._requests import KEPT, RESUMED, checked, error_of
 from uoarm.client._socket import ClientSocket, Received
 from uoarm.errors import (
     ConnectionClosedError,
