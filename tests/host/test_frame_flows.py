@@ -9,10 +9,10 @@ from queue import SimpleQueue
 
 import pytest
 
-from uoarm._host.transport import frame_flows
+from uoarm._host.transport import socket_transport
 from uoarm._host.transport.codec import Frame
-from uoarm._host.transport.frame_flows import FlowSubscription, FrameFlows
 from uoarm._host.transport.frames import LinkSockets
+from uoarm._host.transport.socket_transport import FlowSubscription, FrameFlows
 from uoarm.testing import patience, wait
 
 LONG = bytes(2**16 + 1)
@@ -24,7 +24,7 @@ Ends = tuple[FrameFlows, FrameFlows]
 @pytest.fixture
 def flows(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ends]:
     """Both ends; what is called quick here is what does not wait for a gate."""
-    monkeypatch.setattr(frame_flows, "_QUICK_SECONDS", patience())
+    monkeypatch.setattr(socket_transport, "_QUICK_SECONDS", patience())
     one, other = LinkSockets.make()
     near = FrameFlows(one.incoming, one.outgoing, "near", lambda: None)
     far = FrameFlows(other.incoming, other.outgoing, "far", lambda: None)
@@ -127,7 +127,7 @@ def test_who_takes_its_time_has_a_thread_of_its_own(
     flows: Ends, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, far = flows
-    monkeypatch.setattr(frame_flows, "_QUICK_SECONDS", 0.0)
+    monkeypatch.setattr(socket_transport, "_QUICK_SECONDS", 0.0)
     taker, other = _Taker(near), _Taker(near, "other")
     _send(far, *range(10))
     _send(far, 0, payload=LONG, key="other")  # long ones have one from the first on
@@ -166,7 +166,7 @@ def test_two_ends_that_take_by_writing_lose_nothing_on_a_full_link(
         end.subscribe("forth", count, give_back, "test")
         end.subscribe("back", count, note, "test")
     # Only who writes finds out, no one who looks from time to time.
-    monkeypatch.setattr(frame_flows, "_LOOK_SECONDS", 10 * patience())
+    monkeypatch.setattr(socket_transport, "_LOOK_SECONDS", 10 * patience())
 
     def send(end: FrameFlows) -> None:
         for number in range(count):
