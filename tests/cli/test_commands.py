@@ -479,7 +479,7 @@ def test_watching_ends_with_an_interrupt_and_no_error(
     def interrupt(_: float) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("uoarm.cli._status.time", SimpleNamespace(sleep=interrupt))
+    monkeypatch.setattr("uoarm.cli._discover.time", SimpleNamespace(sleep=interrupt))
     assert run("status", "-f", robot, "--watch").exit_code == 0
 
 

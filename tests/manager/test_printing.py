@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from uoarm import RobotManager
 from uoarm.cli import main
-from uoarm.cli._status import _print_tables
+from uoarm.cli._discover import _print_tables
 from uoarm.config import loads
 from uoarm.model import to_json
 from uoarm.testing import Collector, MemoryBridge, patience

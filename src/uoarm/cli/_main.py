@@ -87,7 +87,7 @@ COMMANDS: Mapping[str, tuple[str, str, str]] = {
     "resolve": ("_show", "resolve", "Find the plan for a function without opening anything."),
     "schema": ("_show", "schema", "Print the JSON Schema of robot.yaml, for editors."),
     "serve": ("_serve", "serve", "Serve a robot to WebSocket clients and browsers."),
-    "status": ("_status", "status", "Show what can be had now, and from which component."),
+    "status": ("_discover", "status", "Show what can be had now, and from which component."),
     "stop": ("_remote", "stop", "Stop everything that moves of a running robot."),
     "suggest": ("_discover", "suggest", "Write the configuration of what bridges see."),
     "token": ("_serve", "token", "Make a token for a client of `uoarm serve`."),
