@@ -12,7 +12,7 @@ import pytest
 from played import STRING, Played, asked, bridge_to
 from ros import Ros, Serve, url
 from tests.server.talk import eventually  # type: ignore[import-not-found]
-from uoarm_rosbridge.client import _goals
+from uoarm_rosbridge.client import _calls
 from websockets.sync.server import ServerConnection
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
@@ -186,7 +186,7 @@ def test_a_goal_that_is_given_up_is_cancelled(
         clock.advance(0.1)
 
     server.on_goal = run_and_be_late
-    monkeypatch.setattr(_goals, "time", SimpleNamespace(monotonic=clock))
+    monkeypatch.setattr(_calls, "time", SimpleNamespace(monotonic=clock))
     monkeypatch.setattr("uoarm.bridge._bridge._GRACE_SECONDS", patience())
     with bridge_to(played.url) as bridge:
         with pytest.raises(BridgeTimeoutError, match=r"no result within 0\.1 s"):

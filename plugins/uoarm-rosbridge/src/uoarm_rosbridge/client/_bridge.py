@@ -23,6 +23,14 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
+from uoarm_rosbridge.client._calls import (
+    ActionlibCaller,
+    ActionlibTypes,
+    AdvertisedAction,
+    AdvertisedService,
+    ServedTypes,
+    call_action,
+)
 from uoarm_rosbridge.client._channels import (
     ParameterSink,
     ParameterSource,
@@ -32,7 +40,6 @@ from uoarm_rosbridge.client._channels import (
 )
 from uoarm_rosbridge.client._connection import Fields, ServerConnection
 from uoarm_rosbridge.client._discovery import discovered
-from uoarm_rosbridge.client._goals import ActionlibCaller, ActionlibTypes, call_action
 from uoarm_rosbridge.client._health import PeerWatch
 from uoarm_rosbridge.client._options import (
     Address,
@@ -42,7 +49,6 @@ from uoarm_rosbridge.client._options import (
     address_of,
     port_of,
 )
-from uoarm_rosbridge.client._served import AdvertisedAction, AdvertisedService, ServedTypes
 from uoarm_rosbridge.client._types import RosType, read_types, reader, structure_of, writer
 
 C = TypeVar("C", bound=Channel)
