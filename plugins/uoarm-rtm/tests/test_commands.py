@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +22,7 @@ from uoarm_rtm.nameserver import NameServer
 from uoarm.cli import main
 from uoarm.errors import BridgeError
 from uoarm.model import Role
-from uoarm.testing import wait
+from uoarm.testing import patience, wait
 
 PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
 
@@ -151,8 +153,46 @@ def test_connections_of_killed_processes_are_ended_and_no_others(
 def test_a_naming_service_that_is_not_there_is_said(run: Callable[..., Any]) -> None:
     status, _, report = run("list", "--nameserver", "127.0.0.1:1")
     assert (status, report.startswith("error: naming service 127.0.0.1:1")) == (4, True)
-    status, _, report = run("list", "--nameserver", "no such thing")
-    assert (status, "--nameserver: expected corbaloc" in report) == (2, True)
+    for wrong in ("no such thing", "127.0.0.1:99999", "[::1]:65536"):
+        status, _, report = run("list", "--nameserver", wrong)
+        assert (status, "--nameserver: expected corbaloc" in report) == (2, True)
+    for unknown in ("nohost.invalid:1", "corbaloc::nohost.invalid:1/NameService"):
+        status, _, report = run("list", "--nameserver", unknown)
+        said = f"error: naming service {unknown}: there is no host of this name\n"
+        assert (status, report.startswith(said)) == (4, True), report
+
+
+def test_a_naming_service_that_cannot_listen_is_said(run: Callable[..., Any]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        for words, code, why in (
+            (("--port", port), 5, f"cannot listen on 127.0.0.1:{port}: Address already in use"),
+            (("--address", "nohost.invalid"), 5, "cannot listen on nohost.invalid:2809: "),
+            (("--port", "0", "--address", "nohost.invalid"), 5, "cannot listen on nohost.invalid"),
+            (("--port", "99999"), 2, "expected 0 to 65535, got 99999"),
+        ):
+            status, _, report = run("nameserver", *words)
+            assert (status, why in report) == (code, True), report
+
+
+def test_a_call_that_waits_is_interrupted(tmp_path: Path) -> None:
+    """A signal is handled by Python, which a call of CORBA does not return to."""
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        place = f"127.0.0.1:{silent.getsockname()[1]}"
+        words = ("rtm", "list", "--timeout", "60", "--nameserver", place)
+        with subprocess.Popen(
+            [sys.executable, "-m", "uoarm", *words],
+            cwd=tmp_path,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as asking:
+            silent.settimeout(patience())
+            peer, _ = silent.accept()
+            with peer:
+                peer.recv(1)
+                asking.send_signal(signal.SIGINT)
+                _, report = asking.communicate(timeout=patience())
+    assert (asking.returncode, report.splitlines()[0]) == (130, "interrupted")
 
 
 def test_the_commands_are_those_of_uoarm(names: str, peer: Start, tmp_path: Path) -> None:

@@ -7,20 +7,24 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from uoarm.cli import main as run_command
-from uoarm.errors import BridgeError, CommandLineError, FailureReason
+from uoarm.errors import BridgeError, CommandLineError, FailureReason, ListenError
 from uoarm.plugins import Command, CommandParser, hookimpl, printable
 
 __all__ = ["main", "uoarm_commands"]
 
+T = TypeVar("T")
 _STEP_SECONDS = 1.0
+_LAST_PORT = 65_535
 _ACTIONS = ("activate", "deactivate", "reset")
 
 
@@ -51,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = CommandParser(prog="uoarm rtm", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     nameserver = commands.add_parser("nameserver", help="run omniNames until it is interrupted")
-    nameserver.add_argument("--port", type=int, default=2809, help="0 for any that is free")
+    nameserver.add_argument("--port", type=_port, default=2809, help="0 for any that is free")
     nameserver.add_argument("--address", default="127.0.0.1", help="interface to listen on")
     nameserver.add_argument("--folder", type=Path, help="where names survive; default: nowhere")
     asking = CommandParser(add_help=False)
@@ -84,6 +88,12 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > _LAST_PORT:
+        raise argparse.ArgumentTypeError(f"expected 0 to {_LAST_PORT}, got {text}")
+    return int(text)
+
+
 def _seconds(text: str) -> float:
     try:
         seconds = float(text)
@@ -100,17 +110,35 @@ def _ask(given: argparse.Namespace) -> int:
     from uoarm_rtm._commands import session  # noqa: PLC0415 - imports the middleware
 
     usual = os.environ.get("UOARM_RTM_NAMESERVER") or "localhost:2809"
-    with session(given.nameserver or [usual], given.timeout) as now:
-        if given.command == "list":
-            return _print(given, now.components(), _component_lines)
-        if given.command == "cat":
-            return _print(given, now.component(given.component), _whole_component_lines)
-        if given.command == "connections":
-            found = now.connections(mine=given.mine, remove=given.remove)
-            return _print(given, found, _connection_lines)
-        if given.command in _ACTIONS:
-            return _print(given, now.change(given.component, given.command), _component_lines)
-        return _print(given, now.configure(given.component, _request(given)), _set_lines)
+
+    def ask() -> tuple[Any, Any]:
+        with session(given.nameserver or [usual], given.timeout) as now:
+            if given.command == "list":
+                return now.components(), _component_lines
+            if given.command == "cat":
+                return now.component(given.component), _whole_component_lines
+            if given.command == "connections":
+                found = now.connections(mine=given.mine, remove=given.remove)
+                return found, _connection_lines
+            if given.command in _ACTIONS:
+                return now.change(given.component, given.command), _component_lines
+            return now.configure(given.component, _request(given)), _set_lines
+
+    return _print(given, *_awaited(ask))
+
+
+def _awaited(ask: Callable[[], T]) -> T:
+    """Return what is answered. In a thread: no signal is handled while a call of CORBA waits."""
+    answered: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            answered.set_result(ask())
+        except BaseException as error:  # noqa: BLE001 - raised where it is waited for
+            answered.set_exception(error)
+
+    threading.Thread(target=run, name="uoarm-rtm-ask", daemon=True).start()
+    return answered.result()
 
 
 def _request(given: argparse.Namespace) -> dict[str, object]:
@@ -171,6 +199,12 @@ def _set_lines(found: Any) -> Iterable[str]:
 def _nameserver(port: int, address: str, folder: Path | None) -> int:
     from uoarm_rtm.nameserver import NameServer  # noqa: PLC0415 - imports the middleware
 
+    try:  # omniNames does not say why it cannot
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((address, port))
+    except OSError as error:
+        raise ListenError(f"{address}:{port}", port, error) from error
     is_over, was_asked = threading.Event(), threading.Event()
 
     def end() -> None:

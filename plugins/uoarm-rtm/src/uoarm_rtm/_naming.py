@@ -8,6 +8,7 @@ contexts that contain each other.
 from __future__ import annotations
 
 import re
+import socket
 import time
 from collections.abc import Callable, Iterable
 from functools import wraps
@@ -17,7 +18,7 @@ import CosNaming
 from attrs import frozen
 from omniORB import CORBA, URI
 
-from uoarm.bridge import Log
+from uoarm.bridge import Log, reason_of
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._orb import MOST_CONNECTIONS, Orb, corba_errors, limit, narrowed
 
@@ -26,6 +27,9 @@ _BATCH = 200
 _MOST_NAMES = 10_000
 _MOST_CONTEXTS = 1_000
 _DEEPEST = 16
+_LAST_PORT = 65_535
+_UNUSABLE = 0x4F4D0002  # of CORBA's TRANSIENT: no profile of a reference can be used
+_PLACE = re.compile(r"corbaloc:(?:iiop)?:(?:[\d.]+@)?(\[[^\]]*\]|[^:/,]+)")
 _MOST_SECONDS = 60.0  # for all of it: each answer may come just within its own limit
 _HOST = re.compile(r"[\w.\-]+(:\d{1,5})?|\[[0-9a-fA-F:]+\](:\d{1,5})?")
 
@@ -53,7 +57,8 @@ def corbaloc(address: str) -> str:
         raise ValueError(f"{text}, on loopback or a network of its own; got {address!r}")
     if address.startswith(("corbaloc:", "corbaname:", "IOR:")):
         return address
-    if not _HOST.fullmatch(address):
+    found = _HOST.fullmatch(address)
+    if found is None or int((found[1] or found[2] or ":1")[1:]) > _LAST_PORT:
         raise ValueError(f"expected corbaloc::HOST:PORT/NameService or HOST:PORT, got {address!r}")
     if not re.search(r":\d{1,5}$", address):
         address += ":2809"
@@ -181,8 +186,20 @@ class NamingService:
         except BridgeError as error:
             if not isinstance(error.__cause__, CORBA.TRANSIENT):
                 raise
-            text = f"{error}; does one run there, such as `uoarm rtm nameserver`?"
+            text = self._unknown_host(error.__cause__.minor)
+            text = text or f"{error}; does one run there, such as `uoarm rtm nameserver`?"
             raise BridgeError(text, error.reason) from error.__cause__
+
+    def _unknown_host(self, minor: int) -> str:
+        """Say that there is no such host, of which CORBA says that no profile can be used."""
+        found = _PLACE.match(self._corbaloc)
+        if minor != _UNUSABLE or found is None:
+            return ""
+        try:
+            socket.getaddrinfo(found[1].strip("[]"), None)
+        except OSError as error:
+            return f"{self._what}: {reason_of(error)}"
+        return ""
 
     def _name(self, path: str) -> Any:
         try:

@@ -25,7 +25,7 @@ from queue import SimpleQueue
 from typing_extensions import Self
 
 from uoarm.bridge import on_failure, reason_of
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, ListenError
 from uoarm_rtm._compiler import omniorb_programs
 
 __all__ = ["NameServer", "nameserver_command"]
@@ -64,6 +64,7 @@ class NameServer:
         BridgeError: UNAVAILABLE when omniNames is not there or ends at once, or the folder cannot
             be made.
         BridgeTimeoutError: it does not listen within 10 s.
+        ListenError: it was to find a free port, and the address is none of this machine.
     """
 
     def __init__(
@@ -136,7 +137,8 @@ def _start(command: tuple[str, ...]) -> subprocess.Popen[bytes]:
     except RuntimeError as error:  # the system gives no more threads
         process = error
     if isinstance(process, Exception):
-        text = f"omniNames cannot be started: {process}"
+        why = reason_of(process) if isinstance(process, OSError) else process
+        text = f"omniNames cannot be started: {why}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from process
     return process
 
@@ -205,6 +207,9 @@ def _serves(address: str, port: int) -> bool:
 
 def _free_port(address: str) -> int:
     with socket.socket() as probe:
-        probe.bind((address, 0))
+        try:
+            probe.bind((address, 0))
+        except OSError as error:
+            raise ListenError(f"{address}:0", 0, error) from error
         port: int = probe.getsockname()[1]
         return port
