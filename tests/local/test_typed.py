@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, make_dataclass
 from enum import Enum, IntEnum, IntFlag
 from functools import reduce
 from types import ModuleType, SimpleNamespace
-from typing import Annotated, Any, Literal, NewType, get_origin
+from typing import Annotated, Any, ClassVar, Final, Literal, NewType, get_origin
 
 import attrs
 import numpy as np
@@ -525,6 +525,34 @@ def test_values_become_the_messages_of_their_structure_and_come_back(
     for form in (made, message):
         back = form if read is None else read(form)
         assert read is None or _exact(back) == _exact(value)
+
+
+@dataclass
+class Spot:
+    x: Final[int]
+    unit: ClassVar[str] = "mm"
+    mode: Final[typed_parts.Mode] = typed_parts.Mode.FAST
+
+
+@attrs.define
+class Marked:
+    spots: list[Spot]
+    first: Final[NDArray[np.uint8]]
+    limit: ClassVar[int] = 5
+
+
+def test_what_is_of_the_class_is_no_field_and_what_is_final_is() -> None:
+    read, write = reader(Marked, "here"), writer(Marked, "here")
+    assert read is not None
+    assert write is not None
+    message = {"spots": [{"x": 1, "mode": "slow"}], "first": [1, 2]}
+    made = read(message)
+    assert made.spots == [Spot(1, typed_parts.Mode.SLOW)]
+    assert same(write(made), message)
+    assert check(schema_of(Spot), {"required": ["x", "mode"], "maxProperties": 2}).compatible
+    made.spots[0] = Spot("a")  # type: ignore[arg-type] # that is the mistake
+    with pytest.raises(BridgeError, match=r"gave something else than Marked: spots\.0\.x: "):
+        write(made)
 
 
 @dataclass

@@ -182,7 +182,7 @@ def _path_to_fault(hint: Any, value: Any) -> list[str]:
     """Return the fields that lead to what cannot be written, which cattrs does not name."""
     parts: dict[str, tuple[Any, Any]] = {}
     if is_record(value.__class__) and not is_model(value.__class__):
-        hints = type_hints(value.__class__, include_extras=True)
+        hints = _field_hints(value.__class__)
         parts = {name: (item, getattr(value, name, None)) for name, item in hints.items()}
     elif isinstance(value, list | tuple):
         inner = (*get_args(hint), Any)[0]
@@ -388,7 +388,7 @@ def _fields(kind: Any, made: Converter, *, is_read: bool) -> dict[str, Any]:
     """Return the hooks of fields whose hints say more than cattrs would see, or could take."""
     from cattrs.gen import override  # noqa: PLC0415 - slow import
 
-    full, bare = type_hints(kind, include_extras=True), get_type_hints(kind)
+    full, bare = _field_hints(kind), get_type_hints(kind)
     late = _late(kind, full)
     inner = {
         name: plainer
@@ -408,6 +408,13 @@ def _fields(kind: Any, made: Converter, *, is_read: bool) -> dict[str, Any]:
         )
         for name, hint in inner.items()
     }
+
+
+def _field_hints(kind: Any) -> dict[str, Any]:
+    """Return the hints of a record's fields: those of its class are of a ClassVar, too."""
+    fields = fields_of(kind) or {}
+    full = type_hints(kind, include_extras=True)
+    return {name: hint for name, hint in full.items() if name in fields}
 
 
 def _late(kind: Any, hints: Mapping[str, Any]) -> set[str]:

@@ -14,6 +14,7 @@ from functools import reduce
 from typing import (
     Annotated,
     Any,
+    Final,
     Literal,
     Union,
     get_args,
@@ -56,7 +57,7 @@ _SIMPLE: Mapping[object, Mapping[str, object]] = {
     None: {"type": "null"},
     types.NoneType: {"type": "null"},
 }
-QUALIFIERS = frozenset({Required, NotRequired, ReadOnly})
+QUALIFIERS = frozenset({Required, NotRequired, ReadOnly, Final})
 _BUFFERS = (bytes, bytearray, memoryview)
 # To evaluate the hints of a class takes most of the time of describing a component, and is asked
 # for again and again. Any thread; two that find the same do no harm.
