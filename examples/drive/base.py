@@ -11,6 +11,7 @@ if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import os
+import sys
 from contextlib import suppress
 from math import cos, sin
 
@@ -69,5 +70,7 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except BrokenPipeError:  # what it prints is read no more, as by `head`
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
         os._exit(1)

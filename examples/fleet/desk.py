@@ -166,5 +166,7 @@ if __name__ == "__main__":
         main(*map(int, given))
     except KeyboardInterrupt:
         sys.exit(130)
-    except BrokenPipeError:  # what it prints is read no more, as by `head`
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
         os._exit(1)

@@ -9,6 +9,7 @@ Devices, patients and the robot's body are simulated; none of this is a medical 
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import signal
 import subprocess
@@ -94,6 +95,8 @@ def _run(options: argparse.Namespace) -> int:
         os._exit(1)
     except (FootageError, PartError, UoarmError, OSError) as error:
         print(error, file=sys.stderr)
+        if getattr(error, "errno", 0) == errno.ENOSPC:  # what waits would fail once more
+            os._exit(2)
         return 2
 
 

@@ -232,7 +232,9 @@ def main() -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # what it prints is read no more, as by `head`
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
         os._exit(1)
 
 

@@ -8,6 +8,8 @@ if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import math
+import os
+import sys
 import threading
 import time
 from contextlib import suppress
@@ -16,7 +18,6 @@ from typing import Any
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, TransformStamped
-from nav2_msgs.action import NavigateToPose
 from nav_msgs.msg import Odometry
 from nav_msgs.srv import GetPlan
 from rclpy.action import ActionServer, CancelResponse
@@ -25,7 +26,12 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import LaserScan
-from tf2_msgs.msg import TFMessage
+
+try:
+    from nav2_msgs.action import NavigateToPose
+    from tf2_msgs.msg import TFMessage
+except ImportError as error:  # neither is on PyPI
+    sys.exit(f"{error}: `uoarm ros2 build-interfaces` makes it, see examples/navigation/README.md")
 
 _METRES_PER_SECOND = 5.0
 _STEP_SECONDS = 0.02
@@ -177,4 +183,9 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
+        os._exit(1)

@@ -8,6 +8,8 @@ if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import argparse
+import os
+import sys
 from contextlib import suppress
 
 import rclpy
@@ -50,4 +52,9 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
+        os._exit(1)

@@ -8,6 +8,7 @@ if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import math
+import os
 import sys
 import threading
 
@@ -44,3 +45,7 @@ if __name__ == "__main__":
         main()
     except UoarmError as failure:
         sys.exit(str(failure))
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
+        os._exit(1)

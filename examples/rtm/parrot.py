@@ -10,6 +10,7 @@ import signal
 if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
+import os
 import queue
 import sys
 from contextlib import closing, suppress
@@ -49,3 +50,7 @@ if __name__ == "__main__":
         main(sys.argv[1] if len(sys.argv) > 1 else "localhost:2809")
     except UoarmError as failure:
         sys.exit(str(failure))
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
+        os._exit(1)

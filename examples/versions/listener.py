@@ -46,5 +46,7 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except BrokenPipeError:  # what it prints is read no more, as by `head`
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
         os._exit(1)

@@ -46,9 +46,14 @@ def main() -> int:
         console.print("interrupted; everything is closed")
         return 130
     if options.json:
-        print(result.as_json())
+        print(result.as_json(), flush=True)
     return 1 if result.problems else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
+        os._exit(1)

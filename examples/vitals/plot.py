@@ -8,6 +8,7 @@ if __name__ == "__main__":  # an import may lose what Ctrl-C raises
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import argparse
+import os
 import sys
 import time
 from collections import deque
@@ -62,7 +63,7 @@ def plot(flow: Connection, end: float) -> None:
 
 def picture(wave: deque[float], message: dict[str, Any]) -> Text:
     """Return the last seconds as bars of eighths of a character, and the numbers below."""
-    levels = [round(height * ROWS * 8) for height in wave]
+    levels = [round(min(1.0, max(0.0, height)) * ROWS * 8) for height in wave]
     lines = [
         "".join(EIGHTHS[min(8, max(0, level - row * 8))] for level in levels)
         for row in reversed(range(ROWS))
@@ -75,4 +76,9 @@ def picture(wave: deque[float], message: dict[str, Any]) -> Text:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except OSError as failure:  # what it prints is read no more, as by `head`, or a disk is full
+        if not isinstance(failure, BrokenPipeError):
+            print(failure.strerror or failure, file=sys.stderr)
+        os._exit(1)

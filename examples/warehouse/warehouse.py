@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import errno
 import os
 import signal
 import sys
@@ -81,6 +82,8 @@ def _run(options: argparse.Namespace) -> int:
         os._exit(1)
     except (PartError, OSError) as error:
         print(error, file=sys.stderr)
+        if getattr(error, "errno", 0) == errno.ENOSPC:  # what waits would fail once more
+            os._exit(2)
         return 2
 
 

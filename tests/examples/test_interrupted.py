@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import os
 import re
 import signal
@@ -20,6 +21,15 @@ from uoarm.testing import patience
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 # Started by mixed.py, which keeps what they write.
 PARTS = {"mixed/ros1_camera.py", "mixed/sensor.py"}
+
+# These act on it in `main`, or print nothing but what is wrong.
+WITHIN = {
+    "drive/terminal.py",
+    "healthbot/scene.py",
+    "mixed/mixed.py",
+    "mixed/ros2_camera.py",
+    "warehouse/warehouse.py",
+}
 
 
 def programs() -> Iterator[tuple[str, str]]:
@@ -96,3 +106,47 @@ def test_a_signal_while_it_imports_ends_it_in_silence(
         process.send_signal(number)
         _, said = process.communicate(timeout=patience())
     assert (process.returncode, said) == (-number, "")
+
+
+def _with_an_end(file: Path, number: int) -> str:
+    """Return a program that begins with an error of what it prints, without what it imports."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef) and node.name == "main":
+            node.body = ast.parse(f"raise OSError({number}, os.strerror({number}))").body
+    ours = {*sys.stdlib_module_names, "uoarm", "__future__"}
+    kept: list[ast.stmt] = []
+    for statement in tree.body:
+        names = [str(statement.module)] if isinstance(statement, ast.ImportFrom) else []
+        if isinstance(statement, ast.Import):
+            names = [alias.name for alias in statement.names]
+        is_main = isinstance(statement, ast.FunctionDef) and statement.name == "main"
+        is_last = isinstance(statement, ast.If) and "__main__" in ast.unparse(statement.test)
+        is_value = isinstance(statement, ast.Assign) and not any(
+            isinstance(part, ast.Name | ast.Call) for part in ast.walk(statement.value)
+        )
+        if (
+            is_main
+            or is_last
+            or is_value
+            or (names and {name.partition(".")[0] for name in names} <= ours)
+        ):
+            kept.append(statement)
+    return "\n".join(
+        ["from __future__ import annotations", "import os", *map(ast.unparse, kept[1:])]
+    )
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [(errno.ENOSPC, "No space left on device\n"), (errno.EPIPE, "")],
+    ids=["a full disk", "head"],
+)
+@pytest.mark.parametrize("name", sorted(PROGRAMS.keys() - WITHIN))
+def test_what_it_cannot_print_ends_it_with_a_line_at_most(
+    name: str, number: int, said: str, tmp_path: Path
+) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(_with_an_end(EXAMPLES / name, number))
+    done = run_python(str(program))
+    assert (done.returncode, done.stderr) == (1, said)
