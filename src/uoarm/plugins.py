@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -68,8 +69,23 @@ class Command:
     contract: int = field(kw_only=True)
 
 
+_EMPTY = re.compile("--[a-z-]+=")
+
+
 class CommandParser(argparse.ArgumentParser):
-    """Reads the words of a command as argparse does; wrong ones raise CommandLineError."""
+    """Reads the words of a command as argparse does; wrong ones raise CommandLineError.
+
+    Empty text is wrong, as of a variable that a script has not set.
+    """
+
+    def parse_known_args(  # type: ignore[override]  # as of argparse, without what nothing gives
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """Read words."""
+        words = sys.argv[1:] if args is None else list(args)
+        if any(word == "" or _EMPTY.fullmatch(word) for word in words):
+            self.error("expected some text, got ''")
+        return super().parse_known_args(words, namespace)
 
     def add_configuration(self) -> None:
         """Have the command take its configuration as each command does: a word, or with -f."""

@@ -102,6 +102,20 @@ def test_one_that_cannot_be_run_says_why(name: str, said: str) -> None:
 
 
 @pytest.mark.parametrize(
+    "words", [[""], ["-f", ""], ["--file", ""], ["--file="], ["inner", ""], ["inner", "--name="]]
+)
+def test_an_empty_word_is_wrong_usage(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    parser = CommandParser("uoarm program")
+    if words[0] == "inner":
+        parser.add_subparsers().add_parser("inner").add_argument("--name")
+    else:
+        parser.add_configuration()
+    with pytest.raises(CommandLineError, match="expected some text, got ''"):
+        parser.parse_args(words)
+    assert capsys.readouterr().err.startswith("usage: ")
+
+
+@pytest.mark.parametrize(
     ("words", "variable", "file"),
     [
         ([], None, "robot.yaml"),

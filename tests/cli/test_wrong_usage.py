@@ -95,6 +95,8 @@ def test_other_wrong_words_have_one_too(words: tuple[str, ...]) -> None:
         ("discover --every 5", "without --watch there is no use for --every"),
         ("doctor lab.yaml --service", "give FILE or --service, not both"),
         ("doctor --unit robot", "without --service there is no use for --unit"),
+        (f"serve --key {__file__}", "without --certificate there is no use for --key"),
+        (f"serve --tls auto --certificate {__file__}", "give --tls or --certificate, not both"),
         ("lock --format json", "without --check there is no use for --format"),
         ("lock --check --against . --environment one", "give --against or --environment, not both"),
         ("check --strict", "without --recording there is no use for --strict"),

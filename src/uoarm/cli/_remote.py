@@ -132,15 +132,15 @@ def _checked(server: Remote) -> Remote:
     ]
     if named and not server.url.startswith("wss://"):
         raise click.UsageError(f"{named[0]} is for TLS: expected wss://, got {server.url}")
+    if server.authority and server.fingerprint:
+        raise click.UsageError("give --authority or --fingerprint, not both")
+    if server.key and not server.certificate:
+        raise click.UsageError("--key is that of --certificate, which is missing")
     if server.token is not None and not server.token.strip().isprintable():
         raise click.UsageError("--token: expected one line of visible characters")
     if server.fingerprint is not None and not _FINGERPRINT.fullmatch(server.fingerprint):
         expected = "expected SHA-256, 64 hexadecimal digits"
         raise click.UsageError(f"--fingerprint: {expected}, got {server.fingerprint}")
-    if server.authority and server.fingerprint:
-        raise click.UsageError("give --authority or --fingerprint, not both")
-    if server.key and not server.certificate:
-        raise click.UsageError("--key is that of --certificate, which is missing")
     return server
 
 

@@ -30,6 +30,8 @@ from uoarm.cli._announce import Announcement
 from uoarm.cli._output import echo
 from uoarm.cli._shared import (
     at_signals,
+    hold_apart,
+    hold_to,
     is_address,
     needing,
     open_robot,
@@ -177,6 +179,9 @@ def serve(
     Endpoints: / speaks the native protocol, and each installed front end has its own: /rosbridge
     speaks rosbridge v2. /healthz and /metrics answer over HTTP.
     """
+    hold_apart("--tls", "--certificate")
+    hold_apart("--tls", "--key")
+    hold_to("--certificate", "--key")
     if rosbridge_port is not None:
         front_end_ports.append(("rosbridge", rosbridge_port))
     ports = dict(front_end_ports)
