@@ -24,7 +24,7 @@ from uoarm._hints.applications import T
 from uoarm._raised import LimitedLog, Log, foreign, name_of
 from uoarm._renewal import HeldCommand
 from uoarm._support.aio_deadlines import event_by
-from uoarm._support.workers import WorkerExecutor
+from uoarm._support.workers import WorkerExecutor, settle
 from uoarm.bridge import Registry
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (
@@ -52,32 +52,67 @@ _log = Log("uoarm")
 class _AsyncProxy(Generic[Threaded_co]):
     """What has the methods of something that blocks, awaited; closed at the end of `async with`."""
 
-    def __init__(self, threaded: Threaded_co, executor: Executor) -> None:
+    def __init__(self, threaded: Threaded_co, executor: Executor, handling: Executor) -> None:
         self._threaded = threaded
         self._executor = executor
+        self._handling = handling  # has threads for what ends something
         self._process = forks.generation
 
     @abstractmethod
     async def close(self) -> None: ...
 
-    async def _outside(self, action: Callable[[], Result]) -> Result:
-        return await asyncio.wrap_future(self._executor.submit(action))
+    async def _outside(
+        self, action: Callable[[], Result], undo: Callable[[Result], object] | None = None
+    ) -> Result:
+        """Await what blocks; `undo` gets what comes of it after the task was cancelled."""
+        asked = self._executor.submit(action)
+        try:
+            return await asyncio.wrap_future(asked)
+        except asyncio.CancelledError:
+            if undo is not None:
+                asked.add_done_callback(partial(self._put_away, undo))
+            raise
+
+    def _put_away(self, undo: Callable[[Result], object], asked: Future[Result]) -> None:
+        if not asked.cancelled() and asked.exception() is None:
+            _begun(partial(undo, asked.result()), self._handling)
+
+    async def _surely(self, action: Callable[[], Result], executor: Executor) -> Result:
+        """Await what ends or stops something; done even where the task is cancelled before."""
+        asked = _begun(action, executor)
+        try:
+            return await asyncio.wrap_future(asked)
+        except asyncio.CancelledError:
+            if asked.cancelled():
+                _begun(action, executor)
+            raise
 
     async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        if (
-            forks.generation == self._process
-        ):  # a forked child has none of the threads, and owns nothing
+        # A forked child has none of the threads, and owns nothing.
+        if forks.generation == self._process:
             await self.close()
 
     def __repr__(self) -> str:
         return f"<Async{repr(self._threaded)[1:]}"
 
 
+def _begun(action: Callable[[], Result], executor: Executor) -> Future[Result]:
+    try:
+        return executor.submit(action)
+    except RuntimeError:  # the system gives no thread: late is better than not at all
+        done: Future[Result] = Future()
+        settle(done, action)
+        return done
+
+
 def _awaited(
     method: Callable[Concatenate[Threaded_co, P], Result],
+    *,
+    undo: Callable[[Result], object] | None = None,
+    surely: bool = False,
 ) -> Callable[Concatenate[_AsyncProxy[Threaded_co], P], Coroutine[Any, Any, Result]]:
     """Return a method that blocks as one to await: it runs outside the loop's thread.
 
@@ -86,7 +121,10 @@ def _awaited(
 
     @wraps(method)
     async def proxy(self: _AsyncProxy[Threaded_co], /, *args: P.args, **kwargs: P.kwargs) -> Result:
-        return await self._outside(partial(method, self._threaded, *args, **kwargs))
+        action = partial(method, self._threaded, *args, **kwargs)
+        if surely:
+            return await self._surely(action, self._handling)
+        return await self._outside(action, undo)
 
     return proxy
 
@@ -112,7 +150,7 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
     """
 
     def __init__(self, connection: Connection[T], executor: Executor) -> None:
-        super().__init__(connection, executor)
+        super().__init__(connection, executor, executor)
         self._loop = asyncio.get_running_loop()
         self._arrived = asyncio.Event()
         self._woken = False
@@ -211,10 +249,10 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
         return end
 
     send = _awaited(Connection.send)
-    stop = _awaited(Connection.stop)
-    leave = _awaited(Connection.leave)
+    stop = _awaited(Connection.stop, surely=True)
+    leave = _awaited(Connection.leave, surely=True)
     flush = _awaited(Connection.flush)
-    kill = _awaited(Connection.kill)
+    kill = _awaited(Connection.kill, surely=True)
     lifetimes = _at_once(Connection.lifetimes)
     status = _at_once(Connection.status)
     routes = _at_once(Connection.routes)
@@ -236,11 +274,12 @@ class AsyncConnection(_AsyncProxy[Connection[T]], Generic[T]):
         """
         hold = partial(self._threaded.hold, message, port, period=period, sender=sender)
         held = await self._outside(partial(hold, take_over=take_over))
-        command = await self._outside(held.__enter__)
+        end = partial(held.__exit__, None, None, None)
+        command = await self._outside(held.__enter__, undo=lambda _: end())
         try:
             yield command
         finally:
-            await self._outside(partial(held.__exit__, None, None, None))
+            await self._surely(end, self._handling)
 
     async def close(self) -> None:
         """End the connection: another name for `kill`, the word of the paper."""
@@ -272,7 +311,8 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
     """A robot manager whose waiting calls are awaited; wraps one that lives on.
 
     Waiting calls run in threads of its own, 32 at once and 32 more of connections; further ones
-    wait for their turn. Everything else is as with `RobotManager`.
+    wait for their turn. What ends or stops something is done even where its task is cancelled
+    before its turn. Everything else is as with `RobotManager`.
 
     Args:
         robot: the manager to use. Closing the wrapper closes it.
@@ -280,10 +320,10 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
 
     @arguments(robot="AsyncRobotManager.from_file(path) reads a file")
     def __init__(self, robot: RobotManager) -> None:
-        super().__init__(robot, WorkerExecutor("uoarm-async", _AT_ONCE))
-        self.robot = robot
         # What ends a connection never waits for a bridge that hangs as another one is opened.
-        self._handling = WorkerExecutor("uoarm-async-handle", _AT_ONCE)
+        handling = WorkerExecutor("uoarm-async-handle", _AT_ONCE)
+        super().__init__(robot, WorkerExecutor("uoarm-async", _AT_ONCE), handling)
+        self.robot = robot
         # Without a limit: a stop waits for no other call, nor for a thread of the application.
         self._stopping = WorkerExecutor("uoarm-async-stop")
 
@@ -333,7 +373,7 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
     reload = _awaited(RobotManager.reload)
     rollback = _awaited(RobotManager.rollback)
     offer = _awaited(RobotManager.offer)
-    record = _awaited(RobotManager.record)
+    record = _awaited(RobotManager.record, undo=lambda recording: recording.close())
     playback = _awaited(RobotManager.playback)
     history = _at_once(RobotManager.history)
     recordings = _at_once(RobotManager.recordings)
@@ -380,12 +420,8 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
         closed as soon as it has opened.
         """
         ask = partial(self.robot.request, name, validate=validate, queue=queue, timeout=timeout)
-        asked = self._executor.submit(partial(ask, as_type=as_type))
-        try:
-            connection = AsyncConnection(await asyncio.wrap_future(asked), self._handling)
-        except asyncio.CancelledError:
-            asked.add_done_callback(self._put_away)
-            raise
+        opened = await self._outside(partial(ask, as_type=as_type), undo=Connection.kill)
+        connection = AsyncConnection(opened, self._handling)
         if on_message is not None:
             connection.subscribe(on_message)
         return connection
@@ -419,18 +455,11 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
 
     async def stop_all(self, *, timeout: float = 2.0) -> StopReport:
         """Stop every input that moves something, as `RobotManager.stop_all` does."""
-        return await self._stop(partial(self.robot.stop_all, timeout=timeout))
+        return await self._surely(partial(self.robot.stop_all, timeout=timeout), self._stopping)
 
     async def release(self, *, timeout: float = 2.0) -> None:
         """Let commands through again; raises as `RobotManager.release`."""
-        await self._stop(partial(self.robot.release, timeout=timeout))
-
-    async def _stop(self, action: Callable[[], Result]) -> Result:
-        try:
-            under_way = self._stopping.submit(action)
-        except RuntimeError:  # the system gives no thread: late is better than not at all
-            return action()
-        return await asyncio.wrap_future(under_way)
+        await self._surely(partial(self.robot.release, timeout=timeout), self._stopping)
 
     @property
     def is_stopped(self) -> bool:
@@ -469,9 +498,4 @@ class AsyncRobotManager(_AsyncProxy[RobotManager]):
 
     async def close(self) -> None:
         """Close the manager. Idempotent; bounded in time."""
-        await asyncio.wrap_future(self._handling.submit(self.robot.close))
-
-    def _put_away(self, asked: Future[Connection]) -> None:
-        """Close what was opened for a task that is gone."""
-        if not asked.cancelled() and asked.exception() is None:
-            self._handling.submit(asked.result().kill)
+        await self._surely(self.robot.close, self._handling)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import inspect
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,8 @@ import pytest
 from typing_extensions import assert_type
 
 from uoarm import AsyncConnection, AsyncRobotManager, Connection, RobotManager
+from uoarm._renewal import HeldCommand, renewed
+from uoarm._support.workers import WorkerExecutor
 from uoarm.config import loads
 from uoarm.model import (
     ConnectionState,
@@ -23,7 +27,7 @@ from uoarm.model import (
     StatusEvent,
     StatusMap,
 )
-from uoarm.testing import Emitter, Loop, MemoryBridge, hanging, patience, wait
+from uoarm.testing import Emitter, Hang, Loop, MemoryBridge, Taker, hanging, patience, wait
 
 NUMBER = {"type": "integer"}
 ROBOT = """
@@ -35,6 +39,16 @@ functions:
   echo:
     components:
       - {name: echo, bridge: one, input: {endpoint: [echo]}, output: {endpoint: [echo]}}
+"""
+MOVING = """
+version: 1
+bridges: {one: {plugin: memory}}
+functions:
+  drive:
+    components:
+      - name: base
+        bridge: one
+        input: {endpoint: [base], lifetime: 3600, stop: {message: 0}}
 """
 
 
@@ -149,6 +163,79 @@ async def test_a_request_that_is_cancelled_leaves_nothing_open(
             assert asked.cancelled()
         await asyncio.to_thread(wait, lambda: not robot.connections())
         await asyncio.to_thread(wait, lambda: bridge.open_channels == 0)
+
+
+@pytest.fixture
+def base(bridge: MemoryBridge) -> Taker:
+    return bridge.taker("base", NUMBER)
+
+
+@pytest.fixture
+def moving(bridge: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
+    del base  # is there first
+    with RobotManager(loads(MOVING), bridges={"one": bridge}) as robot:
+        yield robot
+
+
+async def test_a_command_whose_holder_is_cancelled_as_it_begins_is_stopped(
+    moving: RobotManager, base: Taker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go = threading.Event(), threading.Event()
+
+    @contextmanager
+    def slow(*given: Any) -> Iterator[HeldCommand]:
+        with renewed(*given) as held:
+            begun.set()
+            assert go.wait(patience())
+            yield held
+
+    monkeypatch.setattr("uoarm._control.connection.renewed", slow)
+    async with await AsyncRobotManager(moving).request("drive") as drive:
+        asked = asyncio.ensure_future(drive.hold(1, period=0.001).__aenter__())
+        assert await asyncio.to_thread(begun.wait, patience())
+        asked.cancel()
+        await asyncio.wait({asked})
+        assert asked.cancelled()
+        go.set()
+        await asyncio.to_thread(wait, lambda: not _renewing(), "it is renewed no more")
+        await asyncio.to_thread(wait, lambda: base.taken.messages[-1] == 0, "it stands")
+
+
+def _renewing() -> bool:
+    return any(thread.name == "uoarm-renewal" for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize("how", ["kill", "stop", "end of a hold", "close", "stop_all"])
+async def test_what_ends_or_stops_is_done_though_its_task_is_cancelled_before(
+    moving: RobotManager, base: Taker, how: str
+) -> None:
+    twin = AsyncRobotManager(moving)
+    drive = await twin.request("drive")
+    held = drive.hold(1, period=3600)
+    if how == "end of a hold":
+        await held.__aenter__()
+    else:
+        await drive.send(1)
+    ways: dict[str, Callable[[], Coroutine[object, object, object]]] = {
+        "kill": drive.kill,
+        "stop": drive.stop,
+        "close": twin.close,
+        "stop_all": twin.stop_all,
+        "end of a hold": partial(held.__aexit__, None, None, None),
+    }
+    twin._stopping = WorkerExecutor("stopping", 1)
+    hang = Hang()
+    for executor in (*[twin._handling] * 32, twin._stopping):
+        executor.submit(hang.wait)
+    try:
+        asked = asyncio.ensure_future(ways[how]())
+        await asyncio.sleep(0)  # it waits for a thread
+        asked.cancel()
+        await asyncio.wait({asked})
+        assert asked.cancelled()
+    finally:
+        hang.release()
+    await asyncio.to_thread(wait, lambda: base.taken.messages == [1, 0], "it stands")
 
 
 def test_one_that_hangs_does_not_keep_others_from_being_killed(

@@ -322,7 +322,7 @@ class WorkerExecutor(ThreadPoolExecutor):
             if isinstance(error, WorkerPoolClosedError):
                 future.cancel()
 
-        if not self._pool.submit(_settle, future, partial(call, *args, **kwargs), done=done):
+        if not self._pool.submit(settle, future, partial(call, *args, **kwargs), done=done):
             raise RuntimeError("cannot begin a call: its threads were shut down")
         return future
 
@@ -331,7 +331,8 @@ class WorkerExecutor(ThreadPoolExecutor):
         self._pool.close(drop=cancel_futures)
 
 
-def _settle(future: Future[T], call: Callable[[], T]) -> None:
+def settle(future: Future[T], call: Callable[[], T]) -> None:
+    """Run a call, and have a future get its end; nothing where that was cancelled."""
     if not future.set_running_or_notify_cancel():
         return
     try:
