@@ -7,47 +7,26 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
+from tests.leases import lease, leased_robot
 
 from uoarm import RobotManager
 from uoarm._parts._application_ports import _Command
-from uoarm.bridge import Registry, boot_seconds
-from uoarm.config import loads
+from uoarm.bridge import boot_seconds
 from uoarm.errors import (
     BridgeError,
     CommandRefusedError,
     ConnectionClosedError,
     UsageError,
 )
-from uoarm.model import LeaseHolder, LeaseStatus, StatusEvent
+from uoarm.model import LeaseHolder, StatusEvent
 from uoarm.testing import Background, MemoryBridge, patience, wait
 
-ROBOT = """
-version: 1
-bridges: {memory: {plugin: python}}
-functions:
-  drive:
-    components:
-      - name: base
-        bridge: memory
-        input:
-          endpoint: [base]
-          lifetime: 3600
-          stop: {message: 0}
-          lease: {duration: 3600, priorities: {safety: 10}}
-  lamp: {components: [{name: lamp, bridge: memory, input: {endpoint: [base]}}]}
-"""
 SAFETY = LeaseHolder("fence", "safety")
 
 
-def open_robot(memory: MemoryBridge, text: str = ROBOT) -> RobotManager:
-    return RobotManager(loads(text), registry=Registry(()), bridges={"memory": memory})
-
-
-def lease(manager: RobotManager) -> LeaseStatus:
-    (component,) = manager.status().components
-    found = component.channels[0].lease
-    assert found is not None
-    return found
+def open_robot(memory: MemoryBridge) -> RobotManager:
+    lamp = "lamp: {components: [{name: lamp, bridge: memory, input: {endpoint: [base]}}]}"
+    return leased_robot(memory, more=lamp)
 
 
 def refused(act: Callable[[], object]) -> str:

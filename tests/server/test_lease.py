@@ -11,45 +11,19 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from tests.leases import TOKENS, access_file, lease, leased_robot
 from tests.processes import run_program
 from tests.server.conftest import Between, Serve
 from tests.server.serving import url
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
-from uoarm.bridge import Registry
 from uoarm.client import connect
-from uoarm.config import loads
 from uoarm.errors import CommandRefusedError, ConnectionClosedError
-from uoarm.model import LeaseHolder, LeaseStatus, StatusEvent
-from uoarm.server import Limits, Server, ServerOptions, hash_token, make_token, serve_in_thread
+from uoarm.model import LeaseHolder, StatusEvent
+from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
 from uoarm.testing import MemoryBridge, patience, wait
 from uoarm.testing._components import Taker
-
-ROBOT = """
-version: 1
-bridges: {memory: {plugin: python}}
-functions:
-  drive:
-    components:
-      - name: base
-        bridge: memory
-        input:
-          endpoint: [base]
-          lifetime: 3600
-          stop: {message: 0}
-          lease: {duration: 3600, priorities: {safety: 10}}
-"""
-TOKENS = {"driver": make_token(), "safety": make_token()}
-ACCESS = """
-version: 1
-roles:
-  driver: {{see: all, request: ["*"], send: ["*"]}}
-  safety: {{see: all, request: ["*"], send: ["*"]}}
-tokens:
-  - {{name: driver, role: driver, sha256: {driver}}}
-  - {{name: safety, role: safety, sha256: {safety}}}
-"""
 
 
 @pytest.fixture
@@ -60,26 +34,17 @@ def base(memory: MemoryBridge) -> Taker:
 @pytest.fixture
 def robot(memory: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
     del base
-    with RobotManager(loads(ROBOT), registry=Registry(()), bridges={"memory": memory}) as robot:
+    with leased_robot(memory) as robot:
         yield robot
 
 
 @pytest.fixture
 def guarded(serve: Serve, tmp_path: Path) -> Server:
-    access = tmp_path / "access.yaml"
-    access.write_text(ACCESS.format(**{name: hash_token(token) for name, token in TOKENS.items()}))
-    return serve(access=access)
+    return serve(access=access_file(tmp_path))
 
 
 def enter(server: Server, name: str) -> Talk:
     return Talk(url(server), additional_headers={"Authorization": f"Bearer {TOKENS[name]}"})
-
-
-def lease(robot: RobotManager) -> LeaseStatus:
-    (component,) = robot.status().components
-    found = component.channels[0].lease
-    assert found is not None
-    return found
 
 
 def test_one_client_commands_and_the_other_learns_which(
@@ -118,8 +83,7 @@ def test_what_happened_before_a_server_stops_is_audited_and_reported(
     robot: RobotManager, tmp_path: Path
 ) -> None:
     """Also while a listener of the program holds up all that listen after it."""
-    go_on, log, access = threading.Event(), tmp_path / "audit.log", tmp_path / "access.yaml"
-    access.write_text(ACCESS.format(**{name: hash_token(token) for name, token in TOKENS.items()}))
+    go_on, log, access = threading.Event(), tmp_path / "audit.log", access_file(tmp_path)
 
     def hold_up(event: StatusEvent) -> None:
         del event

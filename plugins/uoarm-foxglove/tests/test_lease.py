@@ -8,31 +8,14 @@ from collections.abc import Collection, Iterator
 from typing import Any
 
 import pytest
+from tests.leases import lease, leased_robot  # type: ignore[import-not-found]
 from uoarm_foxglove._catalogue import ChannelCatalogue, ListingAnswer, ListingQuestion
 from viewer import Viewer
 
 from uoarm import RobotManager
-from uoarm.bridge import Registry
-from uoarm.config import loads
-from uoarm.model import LeaseHolder
 from uoarm.server import Limits, ServerOptions, serve_in_thread
 from uoarm.testing import MemoryBridge, Taker, patience, wait
 
-ROBOT = """
-version: 1
-bridges: {memory: {plugin: python}}
-functions:
-  drive:
-    components:
-      - name: base
-        bridge: memory
-        input:
-          endpoint: [base]
-          lifetime: 3600
-          stop: {message: {v: 0}}
-          lease: {duration: 3600}
-  gone: {components: [{name: gone, bridge: memory, input: {endpoint: [gone]}}]}
-"""
 SPEED = {"type": "object", "properties": {"v": {"type": "integer"}}, "required": ["v"]}
 
 
@@ -49,7 +32,8 @@ def base(memory: MemoryBridge) -> Taker:
 @pytest.fixture
 def robot(memory: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
     del base
-    with RobotManager(loads(ROBOT), registry=Registry(()), bridges={"memory": memory}) as robot:
+    gone = "gone: {components: [{name: gone, bridge: memory, input: {endpoint: [gone]}}]}"
+    with leased_robot(memory, stop="{v: 0}", more=gone) as robot:
         yield robot
 
 
@@ -68,13 +52,6 @@ def listed(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     monkeypatch.setattr(ChannelCatalogue, "make", late)
     yield listed
     listed.set()
-
-
-def holder(robot: RobotManager) -> LeaseHolder | None:
-    (component,) = robot.status().components
-    lease = component.channels[0].lease
-    assert lease is not None
-    return lease.holder
 
 
 @pytest.mark.parametrize("ending", ["it unadvertises", "it goes"])
@@ -97,11 +74,11 @@ def test_what_a_viewer_moved_stops_as_it_ends(
             advertise(first)
             first.publish(1, json.dumps({"v": 1}).encode())
             wait(lambda: taken() == [1], "the command did not arrive")
-            assert holder(robot) is not None
+            assert lease(robot).holder is not None
             if ending == "it unadvertises":
                 first.send("unadvertise", channelIds=[1])
-                wait(lambda: holder(robot) is None, "its lease was not given back")
-        wait(lambda: holder(robot) is None, "its lease was not given back")
+                wait(lambda: lease(robot).holder is None, "its lease was not given back")
+        wait(lambda: lease(robot).holder is None, "its lease was not given back")
         wait(lambda: taken() == [1, 0], "what it moved was not stopped")
         second.publish(1, json.dumps({"v": 2}).encode())
         wait(lambda: taken() == [1, 0, 2], "another cannot command it")
