@@ -9,8 +9,15 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 from uoarm_ros2._conversion import reader
-from uoarm_ros2._schema import integer_range
-from uoarm_ros2._types import ArrayType, RecordType, ScalarType, Shape, StringType, shape_of
+from uoarm_ros2._types import (
+    ArrayType,
+    RecordType,
+    ScalarType,
+    Shape,
+    StringType,
+    integer_range,
+    shape_of,
+)
 
 MESSAGE_TYPES = [
     f"test_msgs/msg/{name}"

@@ -13,9 +13,8 @@ import pytest
 from endpoints import Make, Start, endpoint, known, sink, source, write
 from messages import same
 from tests.inbox import Inbox  # type: ignore[import-not-found]
-from uoarm_ros2._schema import structure_of
 from uoarm_ros2._type_finder import DefinedTypes
-from uoarm_ros2._types import import_type, shape_of, type_hash
+from uoarm_ros2._types import import_type, shape_of, structure_of, type_hash
 from uoarm_ros2.definitions import DefinitionReader
 
 from uoarm.bridge import Registry

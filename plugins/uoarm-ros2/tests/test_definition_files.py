@@ -10,8 +10,14 @@ from typing import Any
 
 import pytest
 from endpoints import write
-from uoarm_ros2._schema import describe_action, describe_service, structure_of
-from uoarm_ros2._types import import_type, shape_of, type_hash
+from uoarm_ros2._types import (
+    describe_action,
+    describe_service,
+    import_type,
+    shape_of,
+    structure_of,
+    type_hash,
+)
 from uoarm_ros2.definitions import DefinitionReader, RosDefinitions, read_definitions
 
 from uoarm.errors import ConfigurationError

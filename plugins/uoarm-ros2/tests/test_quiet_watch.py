@@ -12,8 +12,7 @@ from tests.inbox import Inbox  # type: ignore[import-not-found]
 from tests.no_threads import no_threads  # type: ignore[import-not-found]
 from uoarm_ros2._middleware import NodeRunner, Participant, _loop
 from uoarm_ros2._qos import Policies
-from uoarm_ros2._schema import structure_of
-from uoarm_ros2._types import import_type, shape_of
+from uoarm_ros2._types import import_type, shape_of, structure_of
 
 from uoarm.cdr import Codec
 from uoarm.testing import wait

@@ -11,8 +11,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from messages import MESSAGE_TYPES, messages_of
-from uoarm_ros2._schema import describe_action, describe_service, part_structure, structure_of
-from uoarm_ros2._types import import_type, shape_of
+from uoarm_ros2._types import (
+    describe_action,
+    describe_service,
+    import_type,
+    part_structure,
+    shape_of,
+    structure_of,
+)
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure

@@ -18,9 +18,8 @@ from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._discovery import Ros2Graph, ServerPresence
 from uoarm_ros2._health import Report, monitored
 from uoarm_ros2._middleware import NodeRunner, rclpy_errors
-from uoarm_ros2._schema import action_records
 from uoarm_ros2._services import Disagreement, ServerComparison, answered, require_agreement
-from uoarm_ros2._types import import_type
+from uoarm_ros2._types import action_records, import_type
 
 _STATUS = {
     1: "accepted",

@@ -52,12 +52,20 @@ from uoarm_ros2._options import (
     options_of,
 )
 from uoarm_ros2._qos import Policies
-from uoarm_ros2._schema import describe_action, describe_service, part_structure, structure_of
 from uoarm_ros2._services import OtherServers, ServiceClient, ServiceServer
 from uoarm_ros2._topic_endpoint import TopicContext
 from uoarm_ros2._transforms import FrameLookups
 from uoarm_ros2._type_finder import DESCRIPTION_SERVICE, DefinedTypes, TypeFinder
-from uoarm_ros2._types import ACTION, import_type, is_large, shape_of
+from uoarm_ros2._types import (
+    ACTION,
+    describe_action,
+    describe_service,
+    import_type,
+    is_large,
+    part_structure,
+    shape_of,
+    structure_of,
+)
 
 _UNUSED_SECONDS = 10.0
 _Key = tuple[str, str]

@@ -14,8 +14,7 @@ from uoarm.cdr import Codec
 from uoarm.errors import MessageError
 from uoarm.model import Message
 from uoarm_ros2._middleware import deserialised, serialised
-from uoarm_ros2._schema import structure_of
-from uoarm_ros2._types import ArrayType, RecordType, ScalarType, Shape
+from uoarm_ros2._types import ArrayType, RecordType, ScalarType, Shape, structure_of
 
 _CHARACTER = ScalarType("char")
 

@@ -17,8 +17,15 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm_ros2._middleware import NodeRunner, Peer, rclpy_errors
 from uoarm_ros2._options import Ros2Address, Ros2Options
-from uoarm_ros2._schema import describe_action, describe_service
-from uoarm_ros2._types import ACTION, MESSAGE, kind_of, of_type, type_mistake
+from uoarm_ros2._types import (
+    ACTION,
+    MESSAGE,
+    describe_action,
+    describe_service,
+    kind_of,
+    of_type,
+    type_mistake,
+)
 
 _HIDDEN = "/_action/"
 _OF_EVERY_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")

@@ -18,7 +18,6 @@ from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm.plugins import expanded
 from uoarm_ros2._options import TF_MESSAGE, Ros2BridgeOptions
-from uoarm_ros2._schema import structure_of
 from uoarm_ros2._types import (
     ACTION,
     MESSAGE,
@@ -28,6 +27,7 @@ from uoarm_ros2._types import (
     kind_of,
     of_type,
     shape_of,
+    structure_of,
     type_mistake,
 )
 from uoarm_ros2.definitions import DefinitionReader

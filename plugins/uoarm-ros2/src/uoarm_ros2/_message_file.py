@@ -13,8 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from attrs import frozen
 
 from uoarm.cdr import BASIC
-from uoarm_ros2._schema import integer_range
-from uoarm_ros2._types import ScalarType, StringType
+from uoarm_ros2._types import ScalarType, StringType, integer_range
 
 _LOWER = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _UPPER = re.compile(r"[A-Z](?:_?[A-Z0-9])*")

@@ -20,9 +20,8 @@ from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Message
 from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._middleware import GoalRequest, GoalServer, NodeRunner
-from uoarm_ros2._schema import action_records
 from uoarm_ros2._services import ServedFunction
-from uoarm_ros2._types import import_type
+from uoarm_ros2._types import action_records, import_type
 
 _MOST_WAITING = 256
 _MOST_RUNNING = 1024

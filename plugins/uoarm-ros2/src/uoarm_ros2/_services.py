@@ -23,8 +23,7 @@ from uoarm_ros2._conversion import reader, writer
 from uoarm_ros2._discovery import Ros2Graph, ServerPresence
 from uoarm_ros2._health import Report
 from uoarm_ros2._middleware import UNNAMED, NodeRunner, Peer
-from uoarm_ros2._schema import service_records
-from uoarm_ros2._types import RecordType, ScalarType, StringType, import_type
+from uoarm_ros2._types import RecordType, ScalarType, StringType, import_type, service_records
 
 _LOOK_SECONDS = 1.0
 _LEASE_SECONDS = 30.0

@@ -23,8 +23,7 @@ from uoarm_ros2._discovery import Ros2Graph
 from uoarm_ros2._middleware import NodeRunner
 from uoarm_ros2._options import TF_MESSAGE, Ros2Address, Ros2Options
 from uoarm_ros2._qos import Policies, clashes
-from uoarm_ros2._schema import schema_of, structure_of
-from uoarm_ros2._types import RecordType, import_type, shape_of
+from uoarm_ros2._types import RecordType, import_type, schema_of, shape_of, structure_of
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

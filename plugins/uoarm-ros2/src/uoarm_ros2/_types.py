@@ -1,6 +1,6 @@
 """Native types, found by name and read once from their classes, and the structures of messages.
 
-The hash by which types are distinguished (RIHS01) is the SHA-256 of the description as JSON,
+The hash by which types are distinguished (RIHS01) is the SHA-256 of their description as JSON,
 without defaults, as `rosidl` writes it from Iron on. Types are numbered as in
 `type_description_interfaces/msg/FieldType`. Structures are JSON Schema with exact ranges, native
 facts, and the units that REP-103 and the comments of the message definitions state.
@@ -18,13 +18,12 @@ from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
+
 from attrs import field, frozen
-from uoarm.bridge import did_you_mean, text_of
-from uoarm.errors import BridgeError, FailureReason
-from functools import lru_cache
-from typing import Any
-from uoarm.bridge import Description
+
+from uoarm.bridge import Description, did_you_mean, text_of
 from uoarm.cdr import BASIC, number_schema, ros_unit
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure, closed_object
 
 MESSAGE, SERVICE, ACTION = "msg", "srv", "action"

@@ -26,7 +26,6 @@ from uoarm_ros2._message_file import (
     parse_file,
     require_one_each,
 )
-from uoarm_ros2._schema import integer_range, structure_of
 from uoarm_ros2._types import (
     EMPTY,
     ArrayType,
@@ -35,6 +34,8 @@ from uoarm_ros2._types import (
     ScalarType,
     Shape,
     StringType,
+    integer_range,
+    structure_of,
 )
 
 if TYPE_CHECKING:
