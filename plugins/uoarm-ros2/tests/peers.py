@@ -3,37 +3,19 @@
 from __future__ import annotations
 
 import os
-import socket
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import IO
 
+from tests.domains import reserved_domain  # type: ignore[import-not-found]
 from tests.processes import AnsweringProgram  # type: ignore[import-not-found]
 
 from uoarm.testing import patience, slowness
 
 HERE = Path(__file__).parent
-
-
-def _reserved_domain() -> int:
-    """A domain that, with the next one, no other process of tests on this machine uses.
-
-    It is held by a socket that lasts as long as this process. DDS ports end at domain 101 on Linux.
-    """
-    for step in range(0, 80, 2):
-        domain = 20 + (os.getpid() * 2 + step) % 80
-        held = socket.socket(socket.AF_UNIX)
-        try:
-            held.bind(f"\0uoarm-tests-domain-{domain}")
-        except OSError:
-            held.close()
-        else:
-            held.detach()
-            return domain
-    raise RuntimeError("all ROS domains are taken by other tests")
-
-
-DOMAIN = _reserved_domain()
+_HELD = ExitStack()
+DOMAIN = _HELD.enter_context(reserved_domain())
 WAIT_SECONDS = 3.5 * slowness()
 """As long as a bridge waits by default for what is to be there, on an idle machine."""
 OPTIONS = f"domain_id: {DOMAIN}, wait: {WAIT_SECONDS}"

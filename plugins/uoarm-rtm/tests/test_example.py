@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import shutil
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
+from tests.domains import reserved_domain  # type: ignore[import-not-found]
 from tests.processes import run_python  # type: ignore[import-not-found]
 from uoarm_rtm._options import BufferOptions, RtmBridgeOptions, RtmEndpointOptions
 from uoarm_rtm.component import NamingService, Orb
@@ -34,6 +34,12 @@ def program(*command: str) -> Iterator[subprocess.Popen[str]]:
             yield process
         finally:
             process.terminate()
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    with reserved_domain() as found:
+        yield found
 
 
 @pytest.fixture
@@ -85,9 +91,9 @@ def test_a_component_that_is_ended_leaves_the_naming_service(address: str, name:
 @pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # lark, inside ROS 2
 @pytest.mark.skipif(not ROS, reason="needs uoarm-ros2[jazzy] beside")
 def test_a_chain_through_ros_and_rtc_and_its_refusal(
-    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    address: str, domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     file = configuration(address, tmp_path)
     with (
