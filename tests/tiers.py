@@ -13,7 +13,7 @@ import os
 import subprocess
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -23,19 +23,25 @@ from tests.harness import SPARE_WORKERS
 from tests.harness._delays import DELAYS
 from tests.harness._needs import NEEDS, PLACES, missing
 
+from uoarm.testing import slowness
+
 ROOT = Path(__file__).parents[1]
 REPORTS = ROOT / "build" / "tests"
 NO_TESTS = 5
+# As a tier begins, and while its last tests wait, the processor has time for another.
+AT_ONCE = 2
+LOOK_SECONDS = 0.1
+# What takes long comes first, so that nothing of it is left to run alone at the end.
 PLUGINS = (
     "ros2",
     "rtm",
+    "ros1",
     "rocos",
     "mqtt",
     "vda5050",
     "rosbridge",
-    "foxglove",
     "remote",
-    "ros1",
+    "foxglove",
     "mcp",
 )
 
@@ -52,6 +58,7 @@ class Tier:
         is_long: whether it takes long, and is run only where it is asked for.
         is_late: whether its threads begin late and go on late, as on a busy machine.
         is_waiting: whether its tests wait for peers for more than half of their time.
+        is_alone: whether no other tier runs meanwhile.
     """
 
     name: str
@@ -61,11 +68,12 @@ class Tier:
     is_long: bool = False
     is_late: bool = False
     is_waiting: bool = False
+    is_alone: bool = True
 
-    @property
-    def workers(self) -> str:
+    def workers(self, is_beside: bool) -> str:
         """Return how many tests run at once, as pytest-xdist takes it."""
-        return str((os.cpu_count() or 1) + SPARE_WORKERS) if self.is_waiting else "auto"
+        many = self.is_waiting and not is_beside
+        return str((os.cpu_count() or 1) + SPARE_WORKERS) if many else "auto"
 
     @property
     def variables(self) -> dict[str, str]:
@@ -81,6 +89,12 @@ SHORT, LONG = "not needs and not long", "not needs"
 PROGRAMS, LONG_PROGRAMS = "needs and not long", "needs and long"
 TIERS = (
     Tier("core", "nothing but .[dev]", ("tests", "-m", SHORT), is_waiting=True),
+    Tier(
+        "programs",
+        "browser, Node.js, vision, the examples",
+        (*PLACES, "-m", PROGRAMS),
+        is_alone=False,
+    ),
     *(
         Tier(
             name,
@@ -88,10 +102,10 @@ TIERS = (
             (f"plugins/uoarm-{name}/tests", "-m", "not long"),
             (name,),
             is_waiting=True,
+            is_alone=False,
         )
         for name in PLUGINS
     ),
-    Tier("programs", "browser, Node.js, vision, the examples", (*PLACES, "-m", PROGRAMS)),
     Tier("long-core", "the core, its properties at length", ("tests", "-m", LONG), is_long=True),
     Tier(
         "late-core",
@@ -142,34 +156,105 @@ class Outcome:
     reasons: Counter[str]
 
 
-def run(tier: Tier) -> Outcome:
-    """Run a tier with its output on ours, or say why it cannot be run."""
-    print(f"\n== {tier.name}: {tier.what}", flush=True)
-    reasons = Counter(reason for name in tier.needs if (reason := missing(name)))
-    if reasons:
-        print(*reasons, sep="\n", flush=True)
-        must = os.environ.get("CI") and all(NEEDS[name].exists for name in tier.needs)
-        return Outcome(tier, Counter(), 0.0, 0.0, bool(must), reasons)
-    report = REPORTS / f"{tier.name}.xml"
-    report.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml", "--rootdir=."]
-    begin, spent = time.monotonic(), _processor_seconds()
-    done = subprocess.run(
-        [*command, f"-n={tier.workers}", f"--junitxml={report}", *tier.arguments],
-        cwd=ROOT,
-        env={**os.environ, **tier.variables},
-        check=False,
+class Run:
+    """A tier that runs, or cannot be run; what it writes is kept until it is shown."""
+
+    def __init__(self, tier: Tier, is_beside: bool) -> None:
+        self.tier = tier
+        self.reasons = Counter(reason for name in tier.needs if (reason := missing(name)))
+        self._is_shown = False
+        self._begin, self._seconds, self._processor_seconds = time.monotonic(), 0.0, 0.0
+        self._status: int | None = None
+        REPORTS.mkdir(parents=True, exist_ok=True)
+        self._report = REPORTS / f"{tier.name}.xml"
+        self._report.unlink(missing_ok=True)
+        output = REPORTS / f"{tier.name}.log"
+        with output.open("wb") as written:
+            if self.reasons:
+                written.write("".join(f"{reason}\n" for reason in self.reasons).encode())
+                self._process = None
+            else:
+                self._process = subprocess.Popen(
+                    list(self._command(is_beside)),
+                    cwd=ROOT,
+                    env={**os.environ, **tier.variables},
+                    stdout=written,
+                    stderr=subprocess.STDOUT,
+                )
+        self._output = output.open("rb")
+
+    def _command(self, is_beside: bool) -> Iterator[str]:
+        yield from (sys.executable, "-m", "pytest", "-c", "pyproject.toml", "--rootdir=.")
+        yield from (f"-n={self.tier.workers(is_beside)}", f"--junitxml={self._report}")
+        if sys.stdout.isatty():
+            yield "--color=yes"
+        yield from self.tier.arguments
+
+    def has_ended(self) -> bool:
+        """Return whether its tests have; the processor time is that of all processes below it."""
+        if self._process is not None and self._status is None:
+            pid, status, used = os.wait4(self._process.pid, os.WNOHANG)
+            if pid == 0:
+                return False
+            self._process.returncode = self._status = os.waitstatus_to_exitcode(status)
+            self._seconds = time.monotonic() - self._begin
+            self._processor_seconds = used.ru_utime + used.ru_stime
+        return True
+
+    def show(self) -> None:
+        """Write what it has written since the last time."""
+        if not self._is_shown:
+            print(f"\n== {self.tier.name}: {self.tier.what}", flush=True)
+            self._is_shown = True
+        sys.stdout.buffer.write(self._output.read())
+        sys.stdout.flush()
+
+    def outcome(self) -> Outcome:
+        """Return what became of it, once it has ended."""
+        self._output.close()
+        if self._process is None:
+            must = os.environ.get("CI") and all(NEEDS[name].exists for name in self.tier.needs)
+            return Outcome(self.tier, Counter(), 0.0, 0.0, bool(must), self.reasons)
+        counts, reasons = read(self._report)
+        failed = self._status not in {0, NO_TESTS}
+        return Outcome(self.tier, counts, self._seconds, self._processor_seconds, failed, reasons)
+
+    def close(self) -> None:
+        """Kill it if it runs."""
+        self._output.close()
+        if self._process is not None and self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+
+
+def run_all(tiers: Sequence[Tier]) -> list[Outcome]:
+    """Run tiers, some beside each other, and show what each writes in one piece, in their order."""
+    outcomes: list[Outcome] = []
+    waiting, begun = deque(tiers), deque[Run]()
+    beside = sum(not tier.is_alone for tier in tiers) > 1
+    try:
+        while waiting or begun:
+            running = [run.tier for run in begun if not run.has_ended()]
+            if waiting and _has_room(waiting[0], running):
+                tier = waiting.popleft()
+                begun.append(Run(tier, is_beside=beside and not tier.is_alone))
+                continue
+            has_ended = begun[0].has_ended()
+            begun[0].show()
+            if has_ended:
+                outcomes.append(begun.popleft().outcome())
+            else:
+                time.sleep(LOOK_SECONDS)
+    finally:
+        for run in begun:
+            run.close()
+    return outcomes
+
+
+def _has_room(tier: Tier, running: Sequence[Tier]) -> bool:
+    return not running or (
+        len(running) < AT_ONCE and not any(other.is_alone for other in (tier, *running))
     )
-    counts, reasons = read(report)
-    failed = done.returncode not in {0, NO_TESTS}
-    seconds, spent = time.monotonic() - begin, _processor_seconds() - spent
-    return Outcome(tier, counts, seconds, spent, failed, reasons)
-
-
-def _processor_seconds() -> float:
-    """Return what all processes that have ended below this one have used."""
-    used = os.times()
-    return used.children_user + used.children_system
 
 
 def read(report: Path) -> tuple[Counter[str], Counter[str]]:
@@ -236,7 +321,8 @@ def main(arguments: Sequence[str]) -> int:
         print(f"no tiers {sorted(unknown)}; there are {sorted(NAMES)}", file=sys.stderr)
         return 2
     names = {name for given in arguments for name in NAMES[given]} or BY_DEFAULT
-    outcomes = [run(tier) for tier in TIERS if tier.name in names]
+    slowness()  # before the first of them: what begins beside another would count that one, too
+    outcomes = run_all([tier for tier in TIERS if tier.name in names])
     print("\n== what was run\n", *table(outcomes), sep="\n", flush=True)
     return int(any(outcome.failed for outcome in outcomes))
 

@@ -18,12 +18,13 @@ from unittest.mock import Mock
 
 import pytest
 import xdist.plugin
+from tests import tiers
 from tests.harness import ORDER, SPARE_WORKERS, Scheduler, _places
 from tests.harness._delays import DELAYS
 from tests.harness._leaks import maker, variables_of
 from tests.harness._needs import MODULES, NEEDS
 from tests.processes import run_program, run_python
-from tests.tiers import BY_DEFAULT, NAMES, TIERS
+from tests.tiers import BY_DEFAULT, NAMES, TIERS, Tier, run_all
 from xdist.remote import Producer
 
 from uoarm.testing import patience
@@ -642,6 +643,70 @@ def test_the_tests_of_each_plugin_are_run_by_default_at_length_and_late(folder: 
         f"long-{name}": (place,),
         f"late-{name}": (place, "-m", "not long"),
     }
+
+
+MEETING = """
+import sys
+from pathlib import Path
+from uoarm.testing import wait
+own, peer, folder = sys.argv[1], sys.argv[2], Path(sys.argv[3])
+print(own, "begins", flush=True)
+(folder / own).touch()
+wait((folder / peer).exists)
+print(own, "has met", peer)
+"""
+ALONE = """
+import sys
+from pathlib import Path
+assert not list(Path(sys.argv[3]).iterdir())
+"""
+
+
+@pytest.fixture
+def programs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Has each tier run the program that is its first argument; returns the folder they share."""
+
+    def command(run: tiers.Run, is_beside: bool) -> list[str]:
+        assert is_beside is not run.tier.is_alone
+        return [sys.executable, "-c", *run.tier.arguments, str(tmp_path)]
+
+    monkeypatch.setattr(tiers.Run, "_command", command)
+    monkeypatch.setattr(tiers, "REPORTS", tmp_path.with_name("reports"))
+    return tmp_path
+
+
+def test_tiers_run_beside_each_other_and_each_is_shown_in_one_piece(
+    programs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = (
+        Tier("alone", "first", (ALONE, "", "")),
+        Tier("one", "second", (MEETING, "one", "other"), is_alone=False),
+        Tier("other", "third", (MEETING, "other", "one"), is_alone=False),
+        Tier("last", "fourth", (ALONE, "", "")),
+    )
+    outcomes = run_all(given)
+    assert [(outcome.tier.name, outcome.failed) for outcome in outcomes] == [
+        ("alone", False), ("one", False), ("other", False), ("last", True),
+    ]  # fmt: skip
+    assert all(outcome.processor_seconds > 0 for outcome in outcomes)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line][:7] == [
+        "== alone: first",
+        "== one: second", "one begins", "one has met other",
+        "== other: third", "other begins", "other has met one",
+    ]  # fmt: skip
+
+
+def test_tiers_that_run_as_all_is_interrupted_are_ended(
+    programs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(_: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(time, "sleep", interrupted)
+    given = [Tier(name, "", (MEETING, name, "?"), is_alone=False) for name in ("one", "other")]
+    with pytest.raises(KeyboardInterrupt):
+        run_all(given)
 
 
 KIT = """
