@@ -83,10 +83,10 @@ def pytest_report_header() -> str:
 
 
 class Unavailable(pytest.Module):
-    """A module that cannot be imported, as something that it needs is not here."""
+    """A module that is not imported, as something that it needs is not here or not asked for."""
 
     def collect(self) -> list[pytest.Item]:
-        if "not needs" in self.config.option.markexpr:
+        if _wants_no_needs(self.config):
             return []
         found = _needs.refused(_needs.of_module(_path(self.config, self.path)))
         assert found
@@ -96,10 +96,15 @@ class Unavailable(pytest.Module):
         pytest.skip(reason, allow_module_level=True)
 
 
+def _wants_no_needs(config: pytest.Config) -> bool:
+    return "not needs" in config.option.markexpr
+
+
 def pytest_pycollect_makemodule(
     module_path: Path, parent: pytest.Collector
 ) -> pytest.Module | None:
-    if _needs.refused(_needs.of_module(_path(parent.config, module_path))) is None:
+    needs = _needs.of_module(_path(parent.config, module_path))
+    if not (needs and _wants_no_needs(parent.config)) and _needs.refused(needs) is None:
         return None
     module: pytest.Module = Unavailable.from_parent(parent, path=module_path)
     return module

@@ -630,6 +630,17 @@ def test_a_test_that_needs_something_where_no_tier_looks_for_it_is_an_error(
     assert "test_server.py" not in done.stderr.str()
 
 
+def test_a_module_whose_tests_are_left_out_is_not_imported(
+    run: Run, pytester: pytest.Pytester
+) -> None:
+    assert "tests/record/*" in MODULES
+    place = pytester.path / "tests" / "record"
+    place.mkdir(parents=True)
+    (place / "test_heavy.py").write_text("raise AssertionError", encoding="utf-8")
+    done = run("", "tests", "-m", "not needs")
+    assert done.ret == pytest.ExitCode.NO_TESTS_COLLECTED, done.stdout.str()
+
+
 @pytest.mark.parametrize(
     "folder", sorted((ROOT / "plugins").glob("*/tests")), ids=lambda folder: folder.parent.name
 )
