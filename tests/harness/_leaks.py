@@ -5,22 +5,29 @@ Linux shows all of it; elsewhere processes and descriptors go unseen.
 
 from __future__ import annotations
 
+import functools
 import gc
 import locale
 import os
 import re
 import signal
+import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
+
+from typing_extensions import ParamSpec
 
 from uoarm.testing import patience, wait
 
+P = ParamSpec("P")
+T = TypeVar("T")
 MARK = "UOARM_TEST_MADE_BY"
 _RUN = f"{os.getpid()}-{time.monotonic_ns()}"
 _PROCESSES = Path("/proc")
@@ -31,16 +38,28 @@ _OF_LIBRARIES = re.compile(r"anon_inode:|/dev/(u?random|null)$|/memfd:|.*\.(so|p
 _END_OF_VARIABLES = 48  # of the fields that follow the name in /proc/PID/stat; see proc_pid_stat(5)
 _IDLE_THREADS = {"uoarm-step"}  # the core's own, which end by themselves
 
-_STARTING = {"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn", "os.system"}
 _starts = 0  # looking for processes costs too much to be done after tests that started none
 
 
-def _notice(event: str, _arguments: object) -> None:
-    global _starts  # noqa: PLW0603 - an audit hook has no other place
-    _starts += event in _STARTING
+def _notice() -> None:
+    global _starts  # noqa: PLW0603 - each way of starting a process comes here
+    _starts += 1
 
 
-sys.addaudithook(_notice)
+def _noticed(start: Callable[P, T]) -> Callable[P, T]:
+    @functools.wraps(start)
+    def run(*arguments: P.args, **options: P.kwargs) -> T:
+        _notice()
+        return start(*arguments, **options)
+
+    return run
+
+
+# An audit hook sees them all, but each call of `id`, too, of which a check of schemas makes many.
+os.register_at_fork(before=_notice)
+for _name in ("system", "posix_spawn", "posix_spawnp"):
+    setattr(os, _name, _noticed(getattr(os, _name)))
+subprocess.Popen._execute_child = _noticed(subprocess.Popen._execute_child)  # type: ignore[attr-defined]
 
 
 class maker:  # noqa: N801 - used like a function
