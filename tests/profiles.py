@@ -7,6 +7,10 @@ import os
 from hypothesis import HealthCheck, settings
 
 
+IS_LONG = os.environ.get("HYPOTHESIS_PROFILE") == "long"
+"""Whether properties are tried at length."""
+
+
 def load_profile(short: int, long: int | None = None, *suppressed: HealthCheck) -> None:
     """Have every property tried so often from now on.
 
@@ -17,7 +21,7 @@ def load_profile(short: int, long: int | None = None, *suppressed: HealthCheck) 
             no fault of what is drawn on a machine with other work.
     """
     name = os.environ.get("HYPOTHESIS_PROFILE", "short")
-    is_long = name == "long" and long is not None
+    is_long = IS_LONG and long is not None
     settings.register_profile(
         name,
         max_examples=long if is_long else short,

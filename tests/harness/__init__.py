@@ -20,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis.strategies import none
 from tests.harness import _delays, _kit, _leaks, _limits, _needs, _places
 from tests.harness._steps import longest_step, waits
+from tests.profiles import IS_LONG
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 from xdist.workermanage import WorkerController
@@ -198,7 +199,8 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
     with _leaks.maker(item.nodeid):
         yield
     spent = time.process_time() - begin
-    if spent > LONG_SECONDS and not item.get_closest_marker("long"):
+    # At length a property takes as long as its examples do.
+    if spent > LONG_SECONDS and not (IS_LONG or item.get_closest_marker("long")):
         pytest.fail(
             f"{spent:.0f} s of processor time: make it less, or mark it long", pytrace=False
         )

@@ -80,7 +80,8 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
     files |= {"conftest.py": SET_UP, "pytest.ini": "[pytest]\nfilterwarnings = error"}
     for name, text in files.items():
         (place / name).write_text(text, encoding="utf-8")
-    without = ["env", *(f"--unset={name}" for name in ("CI", ORDER, DELAYS)), sys.executable]
+    unset = ("CI", ORDER, DELAYS, "HYPOTHESIS_PROFILE")
+    without = ["env", *(f"--unset={name}" for name in unset), sys.executable]
     given = ("-m", "pytest", "-v", "-ra", "-p", "tests.harness", "-p", "no:cacheprovider")
     done = run_program(*without, *given, cwd=place, env={"PYTHONPATH": str(ROOT)})
     return Ran(done.stdout)
@@ -274,6 +275,13 @@ TESTS["long"] = """
 def test_a_test_that_works_too_long_fails_however_fast_the_machine(ran: Ran) -> None:
     assert ran.outcomes("long") == {"failed": 1, "passed": 2}
     ran.printed.fnmatch_lines(["*s of processor time: make it less, or mark it long"])
+
+
+def test_at_length_a_property_may_work_for_long(run: Run) -> None:
+    result = run(
+        dedent(TESTS["long"]), set_up="harness.LONG_SECONDS = 0.3", HYPOTHESIS_PROFILE="long"
+    )
+    result.assert_outcomes(passed=3)
 
 
 def test_a_step_takes_what_is_done_in_it_without_collections(
