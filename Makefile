@@ -26,7 +26,7 @@ demo: $(VENV)/.demo  ## the paper's example on real footage
 live: $(VENV)/.live  ## the same chain without an end, with pictures at http://127.0.0.1:$(PORT)/
 	$(BIN)/python examples/vision/live.py --port $(PORT) $(ARGS)
 
-drive: $(VENV)/.drive  ## a base that drives while a button is held, and stops whoever dies
+drive: $(VENV)/.drive  ## a base that drives while a button is held, and stops whatever dies
 	$(BIN)/python examples/drive/drive.py $(ARGS)
 
 healthbot: $(VENV)/.healthbot  ## the paper's case study: every part, and two applications

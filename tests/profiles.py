@@ -6,7 +6,6 @@ import os
 
 from hypothesis import HealthCheck, settings
 
-
 IS_LONG = os.environ.get("HYPOTHESIS_PROFILE") == "long"
 """Whether properties are tried at length."""
 
