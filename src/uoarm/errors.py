@@ -64,6 +64,16 @@ class UoarmError(Exception):
         if error_code:
             self.error_code = error_code
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Copies are made without `__init__`, whose arguments are those of the class, not `args`.
+        return _copied, (type(self), self.args), self.__dict__
+
+
+def _copied(kind: type[UoarmError], args: tuple[object, ...]) -> UoarmError:
+    error = kind.__new__(kind)
+    error.args = args
+    return error
+
 
 class ConfigurationError(UoarmError, ValueError):
     """The configuration cannot be used; the text lists every mistake with its place."""
@@ -200,6 +210,9 @@ class ListenError(UoarmError, OSError):
         super().__init__(f"cannot listen on {place}: {reason}")
         self.errno = number
         self.port = port
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return *super().__reduce__()[:2], {**self.__dict__, "errno": self.errno}
 
     def name_option(self, options: Mapping[int, str]) -> None:
         """Say in the text which of a command's options, by their ports, takes another port."""

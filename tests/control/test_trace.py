@@ -5,8 +5,10 @@ Below `field` are logs of soaks that failed, pasted as they were written.
 
 from __future__ import annotations
 
+import copy
 import importlib
 import logging
+import pickle
 import re
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
@@ -151,6 +153,15 @@ def test_every_error_is_read_back_as_itself(kind: type[UoarmError]) -> None:
     error = MADE.get(kind, kind)("it is 'hot'\nand \"wet\"")
     _assert_same(error, ev.Resolved("c1", None, error))
     _assert_same(error, ev.Opened(1, (), error))
+
+
+@for_all("kind", [*EVERY_ERROR, None])
+def test_an_error_is_the_same_in_another_process_and_copied(kind: type[UoarmError] | None) -> None:
+    error = _StalledError(joint=2) if kind is None else MADE.get(kind, kind)("hot\nor wet")
+    for again in (pickle.loads(pickle.dumps(error)), copy.copy(error), copy.deepcopy(error)):
+        assert type(again) is type(error)
+        assert (again.args, str(again), vars(again)) == (error.args, str(error), vars(error))
+        assert getattr(again, "errno", None) == getattr(error, "errno", None)
 
 
 class _StalledError(BridgeError):
