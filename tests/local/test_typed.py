@@ -60,6 +60,19 @@ def test_a_source_gives_objects() -> None:
     assert same(talk.given("scans")[0], SCAN)
 
 
+@pytest.mark.parametrize(("name", "value"), [("doubled_twin", 4), ("tripled_twin", 6)])
+def test_a_function_with_arguments_given_has_its_hints(name: str, value: int) -> None:
+    assert talk.call(name, {"value": 2}) == {"value": value}
+    assert talk.through(name, {"value": 2}) == [{"value": value}]
+
+
+def test_a_source_with_arguments_given_has_its_hints() -> None:
+    described = talk.describe("two_twins", Role.OUTPUT).message
+    assert described is not None
+    assert described == talk.describe("doubled_twin", Role.OUTPUT).message
+    assert talk.given("two_twins") == [{"value": 0}, {"value": 1}]
+
+
 def test_a_model_of_pydantic_is_built_and_given() -> None:
     pytest.importorskip("pydantic")
     name = "tests.local.model_parts:ask_order"

@@ -8,6 +8,7 @@ import typing
 from collections.abc import AsyncIterator, Iterable, Iterator
 from dataclasses import InitVar, dataclass
 from enum import Enum
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypedDict
 
 import attrs
@@ -276,6 +277,15 @@ class Adder:
         Started.cancelled.set()
 
 
+def _scaled(scale: float, twin: Twin) -> Twin:
+    assert type(twin) is Twin
+    return Twin(int(scale * twin.value))
+
+
+def _numbered(last: int) -> Iterator[Twin]:
+    yield from map(Twin, range(last))
+
+
 def iterable_counts() -> Iterable[int]:
     yield from range(2)
 
@@ -287,6 +297,11 @@ def bare_counts() -> typing.Iterator:  # type: ignore[type-arg]
 @dataclass
 class Twin:
     value: int
+
+
+doubled_twin = partial(_scaled, 2.0)
+tripled_twin = partial(partial(_scaled), 3.0)
+two_twins = partial(_numbered, last=2)
 
 
 @dataclass

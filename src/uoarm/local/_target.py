@@ -16,7 +16,7 @@ from collections.abc import (
     Mapping,
     Sequence,
 )
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import PurePath
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin
@@ -419,6 +419,8 @@ class Target:
 
     def _type_hints(self, method: Any) -> dict[str, Any]:
         """Return the hints of a callable, also of one whose class says how it is called."""
+        while isinstance(method, partial):
+            method = method.func
         has_own = inspect.isroutine(method) or inspect.isclass(method)
         report = method if has_own else type(method).__call__
         is_function = inspect.isfunction(report)  # others may not be hashable, or new each time
