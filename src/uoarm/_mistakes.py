@@ -63,7 +63,9 @@ _DEPTH = 200
 def any_of(allowed: Collection[object]) -> str:
     """Write a choice: `a, b or c`; truth values as files have them."""
     words = [str(item).lower() if isinstance(item, bool) else str(item) for item in allowed]
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+    if len(words) <= 1:
+        return words[0] if words else "nothing"
+    return f"{', '.join(words[:-1])} or {words[-1]}"
 
 
 def schema_mistakes(value: object, schema: Any, speller: Speller) -> Iterator[Mistake]:

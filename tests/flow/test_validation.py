@@ -7,7 +7,10 @@ import math
 import re
 import time
 from array import array
+from collections import UserDict
 from collections.abc import Callable
+from decimal import Decimal
+from fractions import Fraction
 from functools import partial
 from typing import Any
 
@@ -177,6 +180,53 @@ def test_what_was_expected_and_what_came_is_said_in_few_words(message: Message, 
     with pytest.raises(MessageError, match=re.escape(text)) as caught:
         check(message)
     assert len(str(caught.value)) < 150
+
+
+NAMED = {"type": "object", "additionalProperties": {"type": "integer"}}
+NUMBERS = {"type": "array", "items": {"type": "number", "minimum": 0}}
+
+
+@pytest.mark.parametrize(
+    ("schema", "message", "text"),
+    [
+        (NAMED, {1: 2}, "1: expected a name that is text, got 1"),
+        (NAMED, {b"a": 2}, "b'a': expected a name that is text, got 1 octets"),
+        ({"patternProperties": {"a": {}}}, {None: 2}, "None: expected a name that is text, got "),
+        (IMAGE.schema, {"width": 1, "data": b"", 5: 2}, "5: expected a name that is text, got 5"),
+        (NAMED, UserDict(a=1), "expected a mapping, got {'a': 1} of the class UserDict"),
+        (NUMBERS, {1}, "expected a list, got {1} of the class set"),
+        ({"type": "number"}, 1j, "expected a number, got 1j of the class complex"),
+        ({"type": "number", "minimum": 0}, Decimal("NaN"), "a number, got Decimal('NaN')"),
+        ({"type": "number"}, Fraction(1, 2), "expected a number, got Fraction(1, 2)"),
+        (NUMBERS, np.array([1j]), "expected a number, got 1j"),
+        (NUMBERS, np.array(["a"]), 'expected a number, got "a"'),
+        (NUMBERS, np.array([1, "a"], object), '1: expected a number, got "a"'),
+        (NUMBERS, np.array([True]), "expected a number, got true"),
+        (NUMBERS, np.array([(1, 2.0)], "i4,f8"), "expected a number, got (1, 2.0)"),
+        (NUMBERS, np.array(["2020"], "M8[Y]"), "a number, got datetime.date(2020, 1, 1)"),
+        (NUMBERS, memoryview(b"abcd").cast("B", (2, 2)), "a list, got octets in 2 dimensions"),
+        ({"type": "string"}, memoryview(b"ab"), "expected text, got 2 octets"),
+        ({"enum": []}, 1, "expected nothing, got 1"),
+        ({"enum": [1, "a"]}, {1}, "expected 1 or a, got {1} of the class set"),
+    ],
+)
+def test_what_only_looks_like_a_value_of_json_is_refused_in_words(
+    schema: Any, message: Any, text: str
+) -> None:
+    checker = make_check(MessageStructure(schema), ValidationMode.ALWAYS, "camera.default")
+    assert checker is not None
+    with pytest.raises(MessageError, match=re.escape(text)):
+        checker(message)
+
+
+@pytest.mark.parametrize(
+    "message", [np.arange(6)[::2], np.array([1, 2], ">i4"), np.ones(2, "e"), np.ones(2, "g"), [0]]
+)
+def test_numbers_of_every_layout_and_size_are_numbers(message: Any) -> None:
+    checker = make_check(MessageStructure(NUMBERS), ValidationMode.ALWAYS, "camera.default")
+    assert checker is not None
+    checker(message)
+    checker([message[0]])
 
 
 def test_every_missing_field_is_named() -> None:

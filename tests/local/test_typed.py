@@ -540,6 +540,35 @@ def test_values_become_the_messages_of_their_structure_and_come_back(
         assert read is None or _exact(back) == _exact(value)
 
 
+@pytest.mark.parametrize(
+    ("hint", "expected"),
+    [
+        (Enum("Nothing", []), "Nothing.* has no members"),
+        (Literal[b"a"], r"Literal\[b'a'\] has octets"),
+    ],
+)
+def test_a_hint_of_which_no_message_can_be_is_refused_with_the_cause(
+    hint: Any, expected: str
+) -> None:
+    with pytest.raises(HintError, match=expected):
+        schema_of(hint)
+
+
+def test_a_tuple_of_nothing_is_an_empty_list() -> None:
+    read, write = reader(tuple[()], "here"), writer(tuple[()], "here")
+    assert read is not None
+    assert write is not None
+    assert read([]) == ()
+    assert list(write(())) == []
+    assert check(schema_of(tuple[()]), {"const": []}).compatible
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="`*tuple` in a hint is of CPython 3.11")
+def test_a_tuple_in_a_tuple_is_refused_with_what_to_write() -> None:
+    with pytest.raises(HintError, match=r"tuple\[int, \*tuple.*: write a list"):
+        schema_of(eval("tuple[int, *tuple[str, ...]]"))  # no syntax of 3.10
+
+
 @dataclass
 class Spot:
     x: Final[int]

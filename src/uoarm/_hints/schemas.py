@@ -148,6 +148,8 @@ def is_model(kind: Any) -> bool:
 
 def _members(kind: type[enum.Enum]) -> Mapping[str, object]:
     values = [member.value for member in kind]
+    if not values:
+        raise HintError(f"the type hint {kind!r} has no members, of which a message could be")
     if not all(value is None or isinstance(value, bool | int | float | str) for value in values):
         text = f"members of the type hint {kind!r} are neither texts, numbers, truths nor None"
         raise HintError(text)
@@ -172,6 +174,8 @@ def _generic(hint: Any, depth: int) -> Mapping[str, object]:
         return _annotated(schema_of(arguments[0], depth), arguments[1:])
     if origin is Literal:
         plain = [item.value if isinstance(item, enum.Enum) else item for item in arguments]
+        if any(isinstance(item, bytes) for item in plain):
+            raise HintError(f"the type hint {hint!r} has octets, of which no message can be: bytes")
         return {"enum": plain}
     if origin in {Union, types.UnionType}:
         return {"anyOf": [schema_of(argument, depth + 1) for argument in arguments]}
@@ -215,6 +219,11 @@ def _tuple(arguments: tuple[Any, ...], depth: int) -> Mapping[str, object]:
     if len(arguments) == 2 and arguments[1] is Ellipsis:  # noqa: PLR2004 - tuple[X, ...]
         return {"type": "array", "items": schema_of(arguments[0], depth + 1)}
     count = len(arguments)
+    if not arguments:
+        return {"type": "array", "minItems": 0, "maxItems": 0}
+    if any(getattr(argument, "__unpacked__", False) for argument in arguments):
+        hint = types.GenericAlias(tuple, arguments)
+        raise HintError(f"the type hint {hint!r} has no message structure: write a list")
     return {
         "type": "array",
         "prefixItems": [schema_of(argument, depth + 1) for argument in arguments],

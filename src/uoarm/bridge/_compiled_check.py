@@ -411,7 +411,9 @@ def _open(
             if one is not _MISSING and not part(one):
                 return False
         return rest is None or all(
-            is_encodable(name) and rest(item) for name, item in value.items() if name not in named
+            isinstance(name, str) and is_encodable(name) and rest(item)
+            for name, item in value.items()
+            if name not in named
         )
 
     return accepts

@@ -36,8 +36,9 @@ def _pattern_properties(
     if isinstance(instance, Mapping):
         for pattern, rule in rules.items():
             for name in instance:
-                if _found(pattern, name):
+                if not isinstance(name, str) or _found(pattern, name):
                     yield from _unencodable(name)
+                if _found(pattern, name):
                     yield from validator.descend(instance[name], rule, name, pattern)
 
 
@@ -59,11 +60,13 @@ def _additional_properties(
 
 
 def _unencodable(name: Any) -> Errors:
-    if isinstance(name, str) and not is_encodable(name):
-        yield ValidationError("half of a surrogate pair", path=(name,))
+    if not (isinstance(name, str) and is_encodable(name)):
+        yield ValidationError("no text, or half of a surrogate pair", path=(name,))
 
 
-def _found(pattern: str, text: str) -> bool:
+def _found(pattern: str, text: object) -> bool:
+    if not isinstance(text, str):
+        return False
     try:
         return found_in(pattern, text)
     except UnsupportedPatternError:
@@ -107,7 +110,13 @@ def _kind() -> type[Validator]:
     known = Draft202012Validator.TYPE_CHECKER
 
     def numbers(name: str) -> Callable[[object, object], bool]:
-        return lambda _, value: known.is_type(_plain_number(value), name)
+        def is_of(_: object, value: object) -> bool:
+            number = _plain_number(value)
+            # The library takes Decimal, Fraction and complex, too, which are in no message.
+            is_real = isinstance(number, bool | int | float) or _kind_of(number) == "f"
+            return is_real and known.is_type(number, name)
+
+        return is_of
 
     # Made as the first message needs it, and kept: to extend the library's own takes milliseconds.
     checker = known.redefine_many(
@@ -228,7 +237,7 @@ def _key(value: object) -> Hashable:
         return "object", frozenset((name, _key(item)) for name, item in value.items())
     if isinstance(value, list | tuple) or _is_buffer(value):
         return "array", tuple(map(_key, cast("Sequence[object]", value)))
-    return value
+    return value if isinstance(value, str) else ("no value of JSON", id(value))
 
 
 def _within_units(encoding: str, unit: int) -> Callable[..., Errors]:
@@ -286,7 +295,10 @@ def _items(
     elif getattr(instance, "ndim", 1) != 1:
         yield from each_item(validator, schema, list(instance), whole)  # rows, arrays themselves
     elif (
-        isinstance(schema, Mapping) and _has_range_only(schema) and not _may_split(instance, schema)
+        isinstance(schema, Mapping)
+        and _has_range_only(schema)
+        and not _may_split(instance, schema)
+        and _kind_of(instance) in {"", *"iuf"}  # others have no least and greatest number
     ):
         for extreme in _extremes(instance, schema):
             yield from validator.descend(extreme, schema)
@@ -298,8 +310,7 @@ def _may_split(buffer: Any, schema: Mapping[str, Any]) -> bool:
     """Say whether numbers between two integers may be none, which extremes do not show."""
     if schema.get("type") != "integer":
         return False
-    kind = getattr(getattr(buffer, "dtype", None), "kind", "")
-    return kind == "f" or getattr(buffer, "typecode", "") in {"f", "d"}
+    return _kind_of(buffer) == "f" or getattr(buffer, "typecode", "") in {"f", "d"}
 
 
 def _has_range_only(schema: Mapping[str, Any]) -> bool:
@@ -342,9 +353,14 @@ def _extremes(buffer: Any, schema: Mapping[str, Any]) -> tuple[object, ...]:
     return min(buffer), max(buffer)
 
 
+def _kind_of(value: object) -> str:
+    """Return the letter of what numpy has in an array or a scalar; "" for anything else."""
+    return str(getattr(getattr(value, "dtype", None), "kind", ""))
+
+
 def _is_buffer(value: object) -> bool:
     if isinstance(value, bytes | bytearray | memoryview):
-        return True
+        return not isinstance(value, memoryview) or value.ndim == 1
     # A scalar of numpy, and an array of no dimension, is a number.
     return (hasattr(value, "__array_interface__") and getattr(value, "ndim", 1) > 0) or hasattr(
         value, "typecode"

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _LOOKED_AT = 50  # mistakes; those of other items of a list that are alike are said once
 _SHOWN = 10
 _LONGEST = 300  # characters of a sentence
+_OF_NAMES = frozenset({"additionalProperties", "patternProperties"})
+_PLAIN = frozenset({list, dict, tuple})
 
 
 def message_check(structure: MessageStructure, place: str) -> Callable[[Message], None]:
@@ -143,6 +145,8 @@ def _sentence(error: ValidationError, speller: Speller) -> tuple[Path, str]:
     path: Path = tuple(error.absolute_path)
     rules: Any = error.schema
     value: Any = error.instance
+    if path and not isinstance(path[-1], str) and error.validator in _OF_NAMES:
+        return path, f"expected a name that is text, got {_write(path[-1])}"
     if path and not is_encodable(str(path[-1])):
         return path, "a name without half of a surrogate pair was expected"
     if error.validator == "required" and isinstance(value, Mapping):
@@ -172,11 +176,17 @@ def _write(value: Any) -> str:
     """Put a value of a message into words; long ones are not looked at as a whole."""
     if isinstance(value, str | int | float | None):
         return clip(value)
-    if getattr(value, "ndim", 0):
-        return f"an array of {' x '.join(map(str, value.shape))} {value.dtype}"
+    if isinstance(value, memoryview) and value.ndim != 1:
+        return f"octets in {value.ndim} dimensions"
     if isinstance(value, bytes | bytearray | memoryview):
         return f"{len(value)} octets"
-    return shown(value)
+    if getattr(value, "ndim", 0):
+        return f"an array of {' x '.join(map(str, value.shape))} {value.dtype}"
+    text, kind = shown(value), type(value)
+    # Some look like what was expected: a UserDict as a dict.
+    return (
+        text if kind in _PLAIN or kind.__name__ in text else f"{text} of the class {kind.__name__}"
+    )
 
 
 def _shorten(text: str) -> str:
