@@ -15,10 +15,13 @@ from tests.schema._pattern_texts import random_text
 from tests.schema._random_choices import RandomChoices
 
 from uoarm.schema import CheckBudget, SchemaError, check
-from uoarm.schema.regex import found_in
+from uoarm.schema.regex import compile_pattern, found_in
+from uoarm.schema.regex._nfa import Nfa
 from uoarm.testing._instances import chance
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from uoarm.testing._instances import Choices
 
 TEXTS = ["".join(row) for n in range(5) for row in product("a1- \n"[: 5 if n < 4 else 3], repeat=n)]
@@ -54,6 +57,19 @@ def test_a_random_pattern_finds_what_another_engine_finds(block: int) -> None:
         expected = [bool(compiled(pattern).search(text)) for text in TEXTS]
         found = [found_in(pattern, text) for text in TEXTS]
         assert found == expected, (seed, pattern)
+
+
+def test_a_new_pattern_goes_over_no_automaton_that_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    weighed: list[Nfa] = []
+    parts = Nfa.parts
+
+    def noted(nfa: Nfa) -> Iterator[Nfa]:
+        weighed.append(nfa)
+        return parts(nfa)
+
+    monkeypatch.setattr(Nfa, "parts", noted)
+    made = [compile_pattern(f"^new{number}(?=a)") for number in range(20)]
+    assert weighed == made
 
 
 @pytest.mark.parametrize(

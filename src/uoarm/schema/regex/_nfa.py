@@ -6,7 +6,7 @@ import sys
 import unicodedata
 from bisect import bisect_right
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import groupby
 from typing import TypeAlias
 
@@ -159,6 +159,11 @@ class Nfa:
             self.asserts[-1].extend((kind, to + at) for kind, to in self.asserts[index])
             self.looks[-1].extend((sign, inner, to + at) for sign, inner, to in self.looks[index])
             self.edges[-1].extend((chars, to + at) for chars, to in self.edges[index])
+
+    @cached_property
+    def weight(self) -> int:
+        """Its states, with those of what it looks ahead with: asked for once it is complete."""
+        return sum(len(part.always) for part in self.parts())
 
     def parts(self) -> Iterator[Nfa]:
         """Yield this automaton and all that it looks ahead with."""

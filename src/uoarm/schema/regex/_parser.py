@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 from collections import OrderedDict
 from collections.abc import Callable
+from operator import attrgetter
 from threading import Lock
 from typing import Generic, TypeAlias, TypeVar
 
@@ -61,7 +62,7 @@ class TextCache(Generic[T]):
         made = self._make(text)
         with self._lock:
             self._kept[text] = made
-            weight = sum(self._weigh(item) for item in self._kept.values())
+            weight = sum(map(self._weigh, self._kept.values()))
             while weight > self._most and len(self._kept) > 1:
                 weight -= self._weigh(self._kept.popitem(last=False)[1])
         return made
@@ -112,9 +113,7 @@ def _compile(pattern: str) -> Nfa:
 
 _MAX_KEPT = 60_000
 """States of all automata that are kept, of some 500 octets each."""
-compile_pattern = TextCache(
-    _compile, lambda nfa: sum(len(item.always) for item in nfa.parts()), _MAX_KEPT
-)
+compile_pattern = TextCache(_compile, attrgetter("weight"), _MAX_KEPT)
 
 
 def is_disputed(pattern: str) -> bool:
