@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.config import loads
 from uoarm.model import LeaseStatus
-from uoarm.server import hash_token, make_token
+from uoarm.server import make_token
 from uoarm.testing import MemoryBridge
 
+ACCESS = """
+version: 1
+roles:
+  driver: {{see: all, request: ["*"], send: ["*"]}}
+  safety: {{see: all, request: ["*"], send: ["*"]}}
+tokens:
+  - {{name: driver, role: driver, sha256: {driver}}}
+  - {{name: safety, role: safety, sha256: {safety}}}
+"""
 TOKENS = {"driver": make_token(), "safety": make_token()}
 
 
@@ -38,22 +45,6 @@ functions:
   {more}
 """
     return RobotManager(loads(text), registry=Registry(()), bridges={"memory": memory})
-
-
-def access_file(folder: Path) -> Path:
-    """Write who may: a client with each of `TOKENS`, in the role of its name."""
-    text = """
-version: 1
-roles:
-  driver: {see: all, request: ["*"], send: ["*"]}
-  safety: {see: all, request: ["*"], send: ["*"]}
-tokens:
-"""
-    for name, token in TOKENS.items():
-        text += f"  - {{name: {name}, role: {name}, sha256: {hash_token(token)}}}\n"
-    path = folder / "access.yaml"
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def lease(robot: RobotManager) -> LeaseStatus:

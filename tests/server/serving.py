@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 from uoarm import RobotManager
-from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
+from uoarm.server import Limits, Server, ServerOptions, hash_token, serve_in_thread
 from uoarm.server.front_end import FrontEnd
 
 
@@ -25,6 +26,14 @@ def servers(robot: RobotManager, **always: Any) -> Iterator[Callable[..., Server
             return stack.enter_context(serve_in_thread(robot, chosen, front_ends=front_ends))
 
         yield start
+
+
+def access_file(folder: Path, text: str, tokens: Mapping[str, str]) -> Path:
+    """Write an access file, in whose text `{name}` is the hash of the token of that name."""
+    path = folder / "access.yaml"
+    hashes = {name: hash_token(token) for name, token in tokens.items()}
+    path.write_text(text.format(**hashes), encoding="utf-8")
+    return path
 
 
 def url(server: Server, path: str = "/") -> str:

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Serve
-from tests.server.serving import url
+from tests.server.serving import access_file, url
 from tests.server.talk import SECONDS, Talk, eventually
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.typing import Origin, Subprotocol
@@ -53,10 +53,7 @@ TOKENS = {name: make_token() for name in ROLES}
 
 @pytest.fixture
 def access(tmp_path: Path) -> Path:
-    path = tmp_path / "access.yaml"
-    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
-    path.write_text(ACCESS.format(**hashes), encoding="utf-8")
-    return path
+    return access_file(tmp_path, ACCESS, TOKENS)
 
 
 @pytest.fixture

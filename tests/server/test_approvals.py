@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from tests.disk import full_after
 from tests.server.conftest import Serve
+from tests.server.serving import access_file
 from tests.server.talk import Talk
 
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, MessageError
-from uoarm.server import hash_token, make_token
+from uoarm.server import make_token
 from uoarm.server.access import AccessRole, Approvals, Operation, Supervision
 from uoarm.server.access._access_file import read_access
 from uoarm.server.access._approvals import (
@@ -477,10 +478,7 @@ TOKENS = {name: make_token() for name in ("agent", "tablet", "nurse", "cook")}
 
 @pytest.fixture
 def access(tmp_path: Path) -> Path:
-    path = tmp_path / "access.yaml"
-    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
-    path.write_text(ACCESS.format(**hashes), encoding="utf-8")
-    return path
+    return access_file(tmp_path, ACCESS, TOKENS)
 
 
 def test_a_supervised_role_goes_no_other_way(serve: Serve, access: Path, robot: Any) -> None:

@@ -10,13 +10,13 @@ import pytest
 from click.testing import CliRunner, Result
 from tests.server.conftest import Serve
 from tests.server.robot import CONFIGURATION
-from tests.server.serving import url
+from tests.server.serving import access_file, url
 from tests.server.talk import Talk
 
 from uoarm.cli import main
 from uoarm.client import ServerError, connect
 from uoarm.errors import ConfigurationError, UsageError
-from uoarm.server import Server, hash_token, make_token
+from uoarm.server import Server, make_token
 
 TOKENS = {"keeper": make_token(), "owner": make_token(), "viewer": make_token()}
 ACCESS = """
@@ -51,10 +51,7 @@ NO_NUMBERS = (
 
 @pytest.fixture
 def guarded(serve: Serve, tmp_path: Path) -> Server:
-    access = tmp_path / "access.yaml"
-    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
-    access.write_text(ACCESS.format(**hashes), encoding="utf-8")
-    return serve(access=access)
+    return serve(access=access_file(tmp_path, ACCESS, TOKENS))
 
 
 def enter(server: Server, name: str) -> Talk:

@@ -9,6 +9,7 @@ import pytest
 from tests.host import joined
 from tests.server.browser import CONTRAST, Browser, says, text
 from tests.server.conftest import Connect, Serve, Visit
+from tests.server.serving import access_file
 from tests.server.shown import END, SHOWN, crowd, front
 from tests.server.talk import eventually
 
@@ -296,8 +297,7 @@ class TestEmergencyStop:
     def test_a_client_without_the_right_gets_an_error_and_nothing_is_stopped(
         self, browser: Browser, serve: Serve, robot: RobotManager, tmp_path: Path
     ) -> None:
-        access = tmp_path / "access.yaml"
-        access.write_text(GUEST.format(right=hash_token("right")), encoding="utf-8")
+        access = access_file(tmp_path, GUEST, {"right": "right"})
         server = serve(access=access)
         browser.show(375, 720, phone=True)
         browser.go(f"http://127.0.0.1:{server.ports[0]}/")
@@ -425,8 +425,7 @@ class TestConfiguration:
 
     @pytest.fixture
     def editing(self, browser: Browser, serve: Serve, tmp_path: Path) -> Browser:
-        access = tmp_path / "access.yaml"
-        access.write_text(KEEPERS.format(right=hash_token("right")), encoding="utf-8")
+        access = access_file(tmp_path, KEEPERS, {"right": "right"})
         server = serve(access=access)
         browser.go(f"http://127.0.0.1:{server.ports[0]}/#/configuration")
         browser.click(".lock input")
@@ -609,8 +608,7 @@ tokens:
 def test_what_another_asks_for_is_approved_or_refused(
     browser: Browser, serve: Serve, robot: RobotManager, tmp_path: Path
 ) -> None:
-    access = tmp_path / "access.yaml"
-    access.write_text(APPROVER.format(right=hash_token("right")), encoding="utf-8")
+    access = access_file(tmp_path, APPROVER, {"right": "right"})
     server = serve(access=access)
     approvals = server.backend.approvals
     function = next(iter(robot.config.functions))

@@ -15,10 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Between, Connect, Serve
 from tests.server.robot import script
+from tests.server.serving import access_file
 from tests.server.talk import Talk, eventually, frame, open_socket
 from tests.server.test_serving import figures
 
-from uoarm.server import Limits, Server, hash_token
+from uoarm.server import Limits, Server
 from uoarm.server.session._session_store import ReplyCache
 from uoarm.server.streams._memory import ServerMemory
 
@@ -74,8 +75,7 @@ def test_an_answer_that_waits_is_not_sent_twice(server: Server, between: Between
 
 
 def test_another_s_session_is_not_taken_up(serve: Serve, tmp_path: Path) -> None:
-    access = tmp_path / "access.yaml"
-    access.write_text(ACCESS.format(one=hash_token("one"), other=hash_token("other")))
+    access = access_file(tmp_path, ACCESS, {"one": "one", "other": "other"})
     url = f"ws://127.0.0.1:{serve(access=access).ports[0]}/"
     with Talk(f"{url}?token=one") as first, Talk(f"{url}?token=other") as second:
         key = first.ask("Resume")["key"]

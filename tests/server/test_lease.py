@@ -11,10 +11,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from tests.leases import TOKENS, access_file, lease, leased_robot
+from tests.leases import ACCESS, TOKENS, lease, leased_robot
 from tests.processes import run_program
 from tests.server.conftest import Between, Serve
-from tests.server.serving import url
+from tests.server.serving import access_file, url
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
@@ -40,7 +40,7 @@ def robot(memory: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
 
 @pytest.fixture
 def guarded(serve: Serve, tmp_path: Path) -> Server:
-    return serve(access=access_file(tmp_path))
+    return serve(access=access_file(tmp_path, ACCESS, TOKENS))
 
 
 def enter(server: Server, name: str) -> Talk:
@@ -83,7 +83,11 @@ def test_what_happened_before_a_server_stops_is_audited_and_reported(
     robot: RobotManager, tmp_path: Path
 ) -> None:
     """Also while a listener of the program holds up all that listen after it."""
-    go_on, log, access = threading.Event(), tmp_path / "audit.log", access_file(tmp_path)
+    go_on, log, access = (
+        threading.Event(),
+        tmp_path / "audit.log",
+        access_file(tmp_path, ACCESS, TOKENS),
+    )
 
     def hold_up(event: StatusEvent) -> None:
         del event

@@ -11,12 +11,13 @@ from click.testing import CliRunner
 from tests.processes import run_program
 from tests.server.authority import Authority
 from tests.server.conftest import Serve
+from tests.server.serving import access_file
 
 import uoarm
 from uoarm.cli import main
 from uoarm.client import trust_fingerprint
 from uoarm.errors import UsageError
-from uoarm.server import Server, fingerprint_of, hash_token
+from uoarm.server import Server, fingerprint_of
 from uoarm.testing import patience
 
 CLIENT = Path(uoarm.__file__).parent / "server" / "static" / "uoarm.js"
@@ -42,9 +43,7 @@ def ask(command: str, url: str, *more: object) -> tuple[int, str]:
 
 @pytest.fixture
 def access(tmp_path: Path) -> Path:
-    path = tmp_path / "access.yaml"
-    path.write_text(ACCESS.format(tablet=hash_token("tablet")))
-    return path
+    return access_file(tmp_path, ACCESS, {"tablet": "tablet"})
 
 
 def test_its_own_certificate_is_known_by_its_fingerprint(

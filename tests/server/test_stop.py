@@ -14,7 +14,7 @@ import click
 import pytest
 from click.testing import CliRunner
 from tests.server.conftest import Between, Serve
-from tests.server.serving import url
+from tests.server.serving import access_file, url
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
@@ -29,7 +29,6 @@ from uoarm.server import (
     Limits,
     Server,
     ServerOptions,
-    hash_token,
     make_token,
     serve_in_thread,
 )
@@ -99,10 +98,7 @@ def robot(memory: MemoryBridge, base: Taker, arm: Taker) -> Iterator[RobotManage
 
 @pytest.fixture
 def guarded(serve: Serve, tmp_path: Path) -> Server:
-    access = tmp_path / "access.yaml"
-    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
-    access.write_text(ACCESS.format(**hashes), encoding="utf-8")
-    return serve(Limits(calls=1, workers=1), access=access)
+    return serve(Limits(calls=1, workers=1), access=access_file(tmp_path, ACCESS, TOKENS))
 
 
 def enter(server: Server, name: str) -> Talk:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from tests.server.browser import Browser, says
 from tests.server.conftest import Between, Connect, Serve, Visit
+from tests.server.serving import access_file
 from tests.server.shown import END, SHOWN, front
 from tests.server.talk import Talk
 from tests.server.test_dashboard import GUEST, manage
@@ -330,8 +331,7 @@ tokens: [{{name: person, role: guest, sha256: {hash_token("right")}}}]
 def test_who_may_only_look_sees_what_gives_the_rights(
     browser: Browser, serve: Serve, tmp_path: Path
 ) -> None:
-    access = tmp_path / "access.yaml"
-    access.write_text(GUEST.format(right=hash_token("right")), encoding="utf-8")
+    access = access_file(tmp_path, GUEST, {"right": "right"})
     port = serve(access=access).ports[0]
     browser.go(f"http://127.0.0.1:{port}/#/graph/function/camera")
     browser.click(".lock input")
@@ -487,8 +487,7 @@ functions:
     def test_it_cannot_be_moved_without_the_right(
         self, browser: Browser, serve: Serve, tmp_path: Path
     ) -> None:
-        access = tmp_path / "access.yaml"
-        access.write_text(GUEST.format(right=hash_token("right")), encoding="utf-8")
+        access = access_file(tmp_path, GUEST, {"right": "right"})
         browser.go(f"http://127.0.0.1:{serve(access=access).ports[0]}/#/graph/function/then")
         browser.click(".lock input")
         browser.write("right")

@@ -7,7 +7,6 @@ import json
 import threading
 from collections.abc import AsyncIterator, Coroutine, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
-from pathlib import Path
 from typing import Any, TypeVar
 
 import httpx2
@@ -17,7 +16,7 @@ from mcp_types import CallToolResult
 from typing_extensions import Self
 
 from uoarm.client import RemoteRobot, connect
-from uoarm.server import hash_token, make_token
+from uoarm.server import make_token
 from uoarm.testing import patience
 
 T = TypeVar("T")
@@ -43,12 +42,6 @@ tokens:
   - {{name: nurse, role: nurse, sha256: {nurse}}}
 """
 TOKENS = {name: make_token() for name in ("agent", "second", "own", "other", "guest", "nurse")}
-
-
-def access_file(path: Path) -> Path:
-    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
-    path.write_text(ACCESS.format(**hashes), encoding="utf-8")
-    return path
 
 
 class Agents:

@@ -10,10 +10,10 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
-from agents import TOKENS, Agents, access_file
+from agents import ACCESS, TOKENS, Agents
 from components import CONFIGURATION, script
 from tests.profiles import load_profile  # type: ignore[import-not-found]
-from tests.server.serving import servers  # type: ignore[import-not-found]
+from tests.server.serving import access_file, servers  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -41,7 +41,7 @@ def serve(robot: RobotManager) -> Iterator[Serve]:
 
 @pytest.fixture
 def access(tmp_path: Path) -> Path:
-    return access_file(tmp_path / "access.yaml")
+    return access_file(tmp_path, ACCESS, TOKENS)  # type: ignore[no-any-return]
 
 
 @pytest.fixture

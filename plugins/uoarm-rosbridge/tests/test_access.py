@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 from ros import Ros, Serve, url
+from tests.server.serving import access_file  # type: ignore[import-not-found]
 from websockets.exceptions import InvalidStatus
 
-from uoarm.server import Server, hash_token, make_token
+from uoarm.server import Server, make_token
 
 ACCESS = """
 version: 1
@@ -32,10 +33,7 @@ TOKENS = {name: make_token() for name in ("viewer", "driver", "operator", "guess
 
 @pytest.fixture
 def guarded(serve: Serve, tmp_path: Path) -> Server:
-    path = tmp_path / "access.yaml"
-    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
-    path.write_text(ACCESS.format(**hashes), encoding="utf-8")
-    return serve(access=path)
+    return serve(access=access_file(tmp_path, ACCESS, TOKENS))
 
 
 def at(server: Server, role: str) -> Ros:

@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 from ros import Ros, url
 from tests.leases import (  # type: ignore[import-not-found]
+    ACCESS,
     TOKENS,
-    access_file,
     lease,
     leased_robot,
 )
+from tests.server.serving import access_file  # type: ignore[import-not-found]
 
 from uoarm import RobotManager
 from uoarm.server import Server, ServerOptions, serve_in_thread
@@ -42,7 +43,9 @@ def robot(memory: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
 
 @pytest.fixture
 def server(robot: RobotManager, tmp_path: Path) -> Iterator[Server]:
-    with serve_in_thread(robot, ServerOptions(port=0, access=access_file(tmp_path))) as server:
+    with serve_in_thread(
+        robot, ServerOptions(port=0, access=access_file(tmp_path, ACCESS, TOKENS))
+    ) as server:
         yield server
 
 
