@@ -175,14 +175,18 @@ class TestSenses:
         browser.until("location.hash.includes('fields=turn%2Cstill')")
         assert browser.js("document.querySelector('.plot canvas').clientWidth") > 300
 
+    @pytest.mark.parametrize("turn", [3.4e38, 1.7e308])
     def test_the_axis_of_very_large_numbers_has_marks(
-        self, browser: Browser, visit: Visit, senses: Senses
+        self, browser: Browser, visit: Visit, senses: Senses, turn: float
     ) -> None:
         visit("#/graph/function/speed/use")
         self.watch(browser, "speed")
         for number in range(5):
-            senses.of["speed"].emit({"forward": 0, "turn": 3.4e38 * (-1) ** number, "still": 1})
+            senses.of["speed"].emit({"forward": 0, "turn": turn * (-1) ** number, "still": 1})
         browser.until(MARKS)
+        browser.js("document.querySelector('.plot').focus()")
+        browser.press("ArrowRight")
+        browser.until(says(".plot .u-legend", f"{turn:.1e}"[:3]))
 
     def test_what_is_pressed_stays_where_it_is_as_a_cause_comes(
         self, browser: Browser, visit: Visit, robot: RobotManager, senses: Senses

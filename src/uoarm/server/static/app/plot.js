@@ -12,6 +12,8 @@ const EVERY = 100; // milliseconds between two drawings
 const AT_FIRST = 4; // lines
 const HEIGHT = 190;
 const LINES = 6; // colours
+const FARTHEST = Number.MAX_VALUE / 4; // beyond it what lies between two values is no number
+const SMALLER = 4; // is then what is drawn
 // Between two marks of an axis: those of uPlot end at 5e32.
 const STEPS = [...Array(616).keys()].flatMap((at) => [1, 2, 2.5, 5].map((part) => Number(`${part}e${at - 308}`)));
 
@@ -46,14 +48,21 @@ export function Plots({ store, func, output, watch, options, choose }) {
 function Plot({ store, watch, unit, paths, seconds, held }) {
   const place = useRef(null);
   const given = useRef({});
+  const scale = useRef(1);
   given.current = { seconds, held };
   useEffect(() => {
-    const chart = new Chart(lookOf(place.current, unit, paths), [[]], place.current);
+    const chart = new Chart(lookOf(place.current, unit, paths, scale), [[]], place.current);
     const draw = () => {
       if (document.hidden) return;
       const end = given.current.held || store.watches.now();
       const begin = end - given.current.seconds;
-      const tables = paths.map((path) => watch.series.get(path).since(begin));
+      let tables = paths.map((path) => watch.series.get(path).since(begin));
+      const isFar = tables.some(([, values]) => values.some((value) => Math.abs(value) > FARTHEST));
+      scale.current = isFar ? SMALLER : 1;
+      if (isFar) {
+        tables = tables.map(([times, values]) => [times,
+          values.map((value) => (Number.isFinite(value) ? value / SMALLER : null))]);
+      }
       chart.batch(() => {
         chart.setData(tables.length > 1 ? Chart.join(tables) : tables[0], false);
         chart.setScale("x", { min: begin, max: end });
@@ -85,11 +94,11 @@ function Plot({ store, watch, unit, paths, seconds, held }) {
 }
 
 /** How a chart looks: in the colours of the page, light or dark. */
-function lookOf(place, unit, paths) {
+function lookOf(place, unit, paths, scale) {
   const style = getComputedStyle(place);
   const colour = (name) => style.getPropertyValue(name).trim();
   const axis = { stroke: colour("--soft"), grid: { stroke: colour("--line"), width: 1 }, ticks: { stroke: colour("--line"), width: 1 } };
-  const value = (_, number) => (number == null ? "–" : `${short(number)}${unit && ` ${unit}`}`);
+  const value = (_, number) => (number == null ? "–" : `${short(number * scale.current)}${unit && ` ${unit}`}`);
   return {
     width: place.clientWidth,
     height: HEIGHT,
@@ -97,7 +106,8 @@ function lookOf(place, unit, paths) {
     cursor: { drag: { x: false, y: false } },
     scales: { x: { time: true }, y: { range: (_, low, high) => padded(low, high) } },
     axes: [{ ...axis, space: 70, values: (_, times) => times.map((time) => clockOf(time)) },
-      { ...axis, size: 58, incrs: STEPS, label: unit || undefined, labelSize: 18, values: (_, numbers) => numbers.map((number) => short(number)) }],
+      { ...axis, size: 58, incrs: STEPS, label: unit || undefined, labelSize: 18,
+        values: (_, numbers) => numbers.map((number) => (Number.isFinite(number * scale.current) ? short(number * scale.current) : "")) }],
     series: [{ label: "time", value: (_, time) => (time == null ? "–" : clockOf(time, true)) },
       ...paths.map((path, at) => ({ label: path, stroke: colour(`--line-${at % LINES}`), width: 1.6, value, points: { show: false } }))],
   };
