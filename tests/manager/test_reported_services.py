@@ -9,6 +9,7 @@ import pytest
 
 from uoarm import BridgeError, RobotManager
 from uoarm.config import loads
+from uoarm.errors import FailureReason
 from uoarm.model import ComponentStatus, Health, StatusEvent
 from uoarm.testing import Collector, MemoryBridge, patience, wait
 
@@ -145,6 +146,20 @@ def test_a_service_that_is_gone_without_a_report_is_shown_as_lost(scene: Scene) 
     scene.serve("best", 3)
     scene.report(Health.OK, "it is back")
     assert scene.call() == 3, "it is avoided no more"
+
+
+def test_a_service_that_is_lost_and_not_found_then_died_once(scene: Scene) -> None:
+    def leave(_: object) -> None:
+        raise BridgeError("no component at ['best']", FailureReason.NOT_FOUND)
+
+    scene.bridge.die("best")
+    scene.bridge.service("best", NUMBER, NUMBER, leave)
+    scene.report(Health.LOST, "it left")
+    with pytest.raises(BridgeError, match="no component at"):
+        scene.call()
+    assert scene.call() == 2, "it is avoided"
+    assert scene.changes() == [("lost", "it left", "plan")]
+    assert scene.robot.status().deaths == (("best", 1),)
 
 
 def test_what_a_service_raises_and_what_is_reported_of_it_cover_up_nothing(scene: Scene) -> None:

@@ -270,7 +270,9 @@ class Services:
             known = self._driver.state.services.get(component.name)
             is_lost = known is not None and known.health is Health.LOST
             if not is_lost or not self._is_avoided(component):
-                self._driver.judge(component, Health.LOST, str(error), "component")
+                # One that was lost before has died once: then this has it avoided, and is no news.
+                cause = known.cause if known is not None and is_lost else str(error)
+                self._driver.judge(component, Health.LOST, cause, "component")
             return
         if not is_raised(error):
             return

@@ -95,7 +95,10 @@ def _judge_service(draft: Draft, name: str, event: ev.HealthReported) -> None:
     """Note the health of a service, of which nothing is open: the next call finds its provider."""
     before = draft.services.get(name, ComponentHealth())
     health = before.noted(event.part, event.health, event.cause)
-    if health.is_news(before, event.health, event.cause):
+    # What raises too often again was given another chance since: then it is lost once more.
+    is_same = (health.health, health.cause) == (before.health, before.cause)
+    is_repeated = is_same and event.part != MESSAGES
+    if not is_repeated and health.is_news(before, event.health, event.cause):
         subject = f"component {name}"
         draft.do(act.Announce(subject, health.health.value, health.cause, event.function))
     _keep_service(draft, name, health)
