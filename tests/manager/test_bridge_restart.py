@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,7 +12,7 @@ from uoarm import RobotManager
 from uoarm.bridge import BridgeType, HealthEvent, Registry
 from uoarm.config import loads
 from uoarm.model import Health, StatusEvent
-from uoarm.testing import Collector, MemoryBridge, hanging, patience, wait
+from uoarm.testing import Collector, MemoryBridge, hanging, patience, slowness, wait
 
 NUMBER: Any = {"type": "integer"}
 ROBOT = """
@@ -121,6 +122,34 @@ def test_what_was_on_its_way_as_one_was_lost_is_not_about_the_next(scene: Scene)
     assert scene.robot.request("camera").plan == connection.plan
     assert len(scene.made["one"]) == 2
     assert not connection.ended
+
+
+def test_a_loss_that_is_posted_late_comes_before_what_the_next_one_says(scene: Scene) -> None:
+    make, bridges = scene._make, vars(scene.robot)["_bridges"]
+
+    def hot(name: str, options: Any) -> MemoryBridge:
+        bridge = make(name, options)
+        if len(scene.made[name]) == 2:
+            bridge.report(Health.DEGRADED, "hot")
+        return bridge
+
+    scene.robot.registry.add(BridgeType("hot", "for tests", hot, contract=2))
+    scene.robot.apply(loads(ROBOT.replace("one: {plugin: memory}", "one: {plugin: hot}")))
+    scene.robot.resolve("camera")
+    take = bridges._listener
+    following = threading.Thread(target=bridges.get, args=("one",))
+
+    def take_late(event: HealthEvent) -> Any:
+        if event.health is Health.LOST:  # which is listed as dead by now
+            following.start()
+            following.join(0.5 * slowness())  # it is the next one by then, unless it has to wait
+        return take(event)
+
+    bridges._listener = take_late
+    scene.made["one"][0].report(Health.LOST, "its process ended")
+    following.join()
+    wait(lambda: len(scene.changes("bridge one")) == 3, lambda: str(scene.events))
+    assert scene.changes("bridge one") == ["lost", "ok", "degraded"]
 
 
 def test_events_do_not_wait_for_one_that_hangs_as_it_ends(

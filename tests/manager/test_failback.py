@@ -53,7 +53,7 @@ def rests(robot: RobotManager) -> bool:
         return not driver._lanes._lanes and not driver._events
     finally:
         driver._owning.release()
-        driver._work()  # what came meanwhile was left to us
+        driver.work()  # what came meanwhile was left to us
 
 
 class Stage:

@@ -230,9 +230,9 @@ def test_a_death_reported_in_the_main_thread_and_interrupted_can_be_reported_aga
         at += 1
         robot.request("face")
         interrupt = Interrupt(number, at)
-        assert interrupt.during(lambda: robot._driver.report(lost)) is interrupt.has_come, at
+        assert interrupt.during(lambda: robot._bridges._note_health(lost)) is interrupt.has_come, at
         has_come = interrupt.has_come
-        robot._driver.report(lost)
+        robot._bridges._note_health(lost)
         wait(lambda: is_nothing_left(robot), never=f"interrupted at call {at}")
     assert at > 50, "the whole of a death was interrupted"
 

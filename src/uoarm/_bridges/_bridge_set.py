@@ -16,6 +16,7 @@ from attrs import define, evolve, field
 from uoarm._backoff import Backoff
 from uoarm._bridges._machines import Joining, Machines
 from uoarm._dataplane import Clock
+from uoarm._interrupts import Uninterrupted
 from uoarm._origin import install_command
 from uoarm._raised import Log, foreign, text_of
 from uoarm._support import deadlines
@@ -145,6 +146,8 @@ class BridgeSet:
     """Makes, keeps and closes bridges by name.
 
     Args:
+        listener: takes what bridges report behind all that it took before, and waits for nothing;
+            what it returns handles it.
         ready: instances to use instead of making them; closed with the others.
         origin: the configuration file, for those who look at the processes of hosts.
         manager: identity of the manager that uses them.
@@ -154,7 +157,7 @@ class BridgeSet:
         self,
         specs: Mapping[str, BridgeSpec],
         registry: Registry,
-        listener: Callable[[HealthEvent], None],
+        listener: Callable[[HealthEvent], Callable[[], object]],
         ready: Mapping[str, Bridge],
         clock: Clock,
         listening: Listening | None = None,
@@ -176,7 +179,8 @@ class BridgeSet:
         self._retiring: set[threading.Thread] = set()
         self._health: dict[str, tuple[Health, str]] = {}
         # Guards what is listed, and never a start or a close: these may hang, and starts have a
-        # lock for each name.
+        # lock for each name. The listener takes reports under it, so that those of a bridge come
+        # before those of the next one of its name.
         self._lock = threading.Lock()
         self._closed = False
         self.machines = Machines(specs, listening, self._note_health, self._state)
@@ -220,16 +224,19 @@ class BridgeSet:
             with self._lock:
                 # What another configuration has no more is closed where it would go unnoticed.
                 keep = not self._closed and self._specs.get(name) == spec
+                handle: Callable[[], object] | None = None
                 if keep:
                     self._bridges[name] = bridge
-                    was_lost = self._health.pop(name, _FINE)[0] is Health.LOST
+                    if self._health.pop(name, _FINE)[0] is Health.LOST:
+                        event = HealthEvent(name, Health.OK, "it was started again")
+                        handle = self._listener(event)
         if not keep:
             bridge.close()
             self._require_open()
             text = f"the configuration of bridge {name!r} was changed while it was started"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
-        if was_lost:
-            self._listener(HealthEvent(name, Health.OK, "it was started again"))
+        if handle is not None:
+            handle()
         self._watch(name, bridge)
         return bridge
 
@@ -284,8 +291,9 @@ class BridgeSet:
             changed = {text for text in names if before.get(text) != staged.specs.get(text)}
             unwell = []
             for name in changed:
-                if self._health.pop(name, _FINE)[0] is not Health.OK:
-                    unwell.append(name)
+                if self._health.pop(name, _FINE)[0] is not Health.OK:  # no other bridge would say
+                    event = HealthEvent(name, Health.OK, "the configuration has another")
+                    unwell.append(self._listener(event))
                 replaced = self._bridges.pop(name, None)
                 if replaced is not None:
                     replaced.watch(None)
@@ -293,8 +301,8 @@ class BridgeSet:
                 new = staged.made.pop(name, None)
                 if new is not None:
                     self._bridges[name] = new
-        for name in unwell:  # which no other bridge would say; before what the next one says
-            self._listener(HealthEvent(name, Health.OK, "the configuration has another"))
+        for handle in unwell:
+            handle()
         for name in changed & self._bridges.keys():
             self._watch(name, self._bridges[name])
         self.machines.adopt(staged.joining, frozenset(changed))
@@ -374,33 +382,40 @@ class BridgeSet:
 
         Without the lock: what it has said already is reported at once.
         """
+        bridge.watch(partial(self._note_health, name=name, bridge=bridge))
 
-        # Looked at again as it arrives: a thread that was about to report as another one reported
-        # the loss must not have the next instance lost, too.
-        def note(event: HealthEvent) -> None:
-            if self._bridges.get(name) is bridge:
-                self._note_health(event)
-
-        bridge.watch(note)
-
-    def _note_health(self, event: HealthEvent) -> None:
-        """Note what happens to a whole bridge, then notify the listener.
+    def _note_health(
+        self, event: HealthEvent, name: str = "", bridge: Bridge | None = None
+    ) -> None:
+        """Note what happens to a whole bridge, and have the listener take what is reported.
 
         One that is lost is given out no more from this moment on: `get` makes a new one, which
         bears the same name, so that nothing more is reported of the lost one.
+
+        Args:
+            event: what is reported.
+            name: of the bridge that reports.
+            bridge: that reports; None: whichever bears the name, as of another machine.
         """
-        if event.channel is None and event.component is None:
-            # Listed as dead before the listener knows: what it has sought next asks `get`, which
-            # must not give out this one.
+        is_whole = event.channel is None and event.component is None
+        with Uninterrupted():  # what the listener took is handled
             with self._lock:
-                self._health[event.bridge] = event.health, event.cause
-                if event.health is Health.LOST and event.bridge in self._bridges:
-                    lost = self._bridges.pop(event.bridge)
-                    lost.watch(None)
-                    self._dead.setdefault(event.bridge, []).append(lost)
-            if event.health is Health.LOST:
-                self._restarts.died(event.bridge, event.cause)
-        self._listener(event)
+                # Here, as another thread may have reported the loss meanwhile: then the next one
+                # may bear the name.
+                if bridge is not None and self._bridges.get(name) is not bridge:
+                    return
+                if is_whole:
+                    self._health[event.bridge] = event.health, event.cause
+                if is_whole and event.health is Health.LOST:
+                    # Listed as dead before the listener knows: what it has sought next asks `get`,
+                    # which must not give out this one.
+                    lost = self._bridges.pop(event.bridge, None)
+                    if lost is not None:
+                        lost.watch(None)
+                        self._dead.setdefault(event.bridge, []).append(lost)
+                    self._restarts.died(event.bridge, event.cause)
+                handle = self._listener(event)
+            handle()
 
     def start(self, name: str, spec: BridgeSpec | None, joining: Joining | None = None) -> Bridge:
         """Make a bridge, which is kept by who asked for it.

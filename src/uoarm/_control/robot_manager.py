@@ -130,7 +130,7 @@ class RobotManager(RobotView):
         self._staleness = StalenessWatch(
             self._driver.live.shared,
             self._driver.live.feeding,
-            partial(self._driver.report, is_avoided=True),
+            self._stale,
             clock,
         )
         self._watch_rates(robot)
@@ -488,9 +488,16 @@ class RobotManager(RobotView):
         for recording in tuple(self._recordings.values()):
             recording.close()
 
-    def _noticed(self, event: HealthEvent) -> None:
+    def _stale(self, event: HealthEvent) -> None:
+        with Uninterrupted():
+            self._driver.report(event, is_avoided=True)
+            self._driver.work()
+
+    def _noticed(self, event: HealthEvent) -> Callable[[], object]:
+        """Queue what a bridge reports; returns what handles it."""
         if not self._driver.offers.reported(event):
             self._driver.report(event)
+        return self._driver.work
 
     def __repr__(self) -> str:
         name = self.config.origin or "in memory"

@@ -2,8 +2,7 @@
 
 One thread at a time owns the state: the one that posts an event while it has no owner. It works
 until no event is left, calls nothing foreign meanwhile and waits for nothing, so that a post is
-quick and no event needs a thread of its own. Ctrl-C and SIGTERM, which may be raised after any
-call in the main thread, wait until what that thread has begun is whole.
+quick and needs no thread. Ctrl-C and SIGTERM wait until what the main thread has begun is whole.
 
 Quick steps of our own are done at once, by the owner. Calls into bridges are made in lanes, by
 their caller or by worker threads, under time limits; what became of them comes back as events.
@@ -120,13 +119,15 @@ class Driver:
         """Take an event. Quick: what follows from it may be done later, in other threads."""
         # An event that is appended is handled, whatever is raised in this thread afterwards.
         with Uninterrupted():
-            self._take(event)
+            self.queue(event)
+            self.work()
 
-    def _take(self, event: ev.Event) -> None:
+    def queue(self, event: ev.Event) -> None:
+        """Have an event handled behind those so far, by `work`: for who holds a lock."""
         self._events.append(event)
-        self._work()
 
-    def _work(self) -> None:
+    def work(self) -> None:
+        """Handle what is queued, unless another thread does. For who is not interrupted."""
         # Who finds the state owned leaves its event to the owner, who looks again after it let go.
         while self._events and self._owning.acquire(blocking=False):
             try:
@@ -162,7 +163,7 @@ class Driver:
                 self.live.runtimes[runtime.id] = runtime
                 # Before it, too: a lane that is not reserved is served by a worker thread.
                 self._lanes.reserve(event.waiter)
-                self._take(event)
+                self.post(event)
                 is_over = self._lanes.drive_quick(event.waiter)  # sharing costs no hop
             if not is_over:
                 deadlines.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
@@ -219,7 +220,7 @@ class Driver:
                 # `Adopt` finds it by its number, in the thread that owns the state.
                 self._revisions.expect(staged)
                 self._lanes.reserve(event.waiter)
-                self._take(event)
+                self.post(event)
             deadlines.run(step_name, timeout, partial(self._lanes.drive, event.waiter))
         if not self._wait_delivered(max(0.0, deadline - time.monotonic())):
             raise BridgeTimeoutError(f"{step_name}: an application that is called now holds it up")
@@ -233,7 +234,7 @@ class Driver:
                 self._handle_all()
                 self._change_candidates(robot)
         finally:
-            self._work()  # what was left to the owner meanwhile
+            self.work()  # what was left to the owner meanwhile
 
     def _change_candidates(self, robot: Robot) -> None:
         revision = self._revisions.current
@@ -270,14 +271,14 @@ class Driver:
             # Reserved before the event, or a worker would serve the lane and this thread wait for a
             # reply that went there.
             self._lanes.reserve(event.waiter)
-            self._take(event)
+            self.post(event)
             with suppress(IndexError):  # another thread may do some, too
                 while self._unstarted:  # for which no thread was to be had
                     self._unstarted.popleft()()
             self._lanes.drive(event.waiter)
 
     def report(self, event: HealthEvent, *, is_avoided: bool = False) -> None:
-        """Take a change of health; one of a channel that was closed is no news."""
+        """Queue a change of health; one of a channel that was closed is no news."""
         if event.channel is not None and event.channel.closed:
             return
         component, part = subject_of(event)
@@ -291,7 +292,7 @@ class Driver:
                 n for n, value in live.items() if self._bridges.is_in_use(value.bridge)
             )
         what = event.bridge, event.health, event.cause, component, part
-        self.post(ev.HealthReported(*what, spared, is_avoided, function))
+        self.queue(ev.HealthReported(*what, spared, is_avoided, function))
 
     def judge(
         self, component: Component, health: Health, cause: str, part: Hashable, instance: int = 0

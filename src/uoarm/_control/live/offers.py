@@ -156,21 +156,22 @@ class Offers:
         return ev.OfferClosed(action.name, action.number)
 
     def reported(self, event: HealthEvent) -> bool:
-        """Take what a bridge reports; True where it concerns an offer and nothing else."""
+        """Queue what a bridge reports; True where it concerns an offer and nothing else."""
         channel = event.channel
         if channel is None and event.component is None:
             # Of a whole bridge, and of its components, too. A loss ends each of its offers.
             if event.health in {Health.LOST, Health.FINISHED}:
                 for offer, (number, opened) in self._opened.copy().items():
                     if event.bridge == opened.offer.bridge:
-                        self._owner.post(ev.OfferReported(offer, number, event.health, event.cause))
+                        what = offer, number, event.health, event.cause
+                        self._owner.queue(ev.OfferReported(*what))
             return False
         name = (event.component or "") if channel is None else channel.endpoint.component
         found = self._opened.get(name)
         if found is None or event.bridge != found[1].offer.bridge:
             return False
         if channel is None or not channel.closed:
-            self._owner.post(ev.OfferReported(name, found[0], event.health, event.cause))
+            self._owner.queue(ev.OfferReported(name, found[0], event.health, event.cause))
         return True
 
     def statuses(self) -> tuple[OfferStatus, ...]:

@@ -53,6 +53,9 @@ class StateOwner(Protocol):
     def post(self, event: ev.Event) -> None:
         """Take an event."""
 
+    def queue(self, event: ev.Event) -> None:
+        """Have an event handled behind those so far, by who asked for it."""
+
 
 @define(eq=False)
 class Ending:
