@@ -108,6 +108,28 @@ def test_a_message_that_is_due_in_centuries_is_waited_for() -> None:
     assert reading.result(patience()) is PlaybackTurn.ELSEWHERE
 
 
+def test_a_gap_in_which_no_reader_has_a_message_for_long_is_logged_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    clock = ManualClock()
+    playback = Playback(Timeline(1.0), 0, 1000 * SECOND, clock, file="tape.mcap")
+    for reader in ("a", "b"):
+        playback.join(reader)
+    playback.begin()
+    first = Background(lambda: playback.wait("a", 600 * SECOND, 0, never))
+    wait(lambda: playback._next)
+    assert not caplog.messages, "the other reader may have a message at once"
+    second = Background(lambda: playback.wait("b", 500 * SECOND, 0, never))
+    text = "recording tape.mcap: no message for 500 s; `seek: 500.000`, or the option `from`"
+    wait(lambda: caplog.messages)
+    playback.play()  # which has both look again
+    playback.seek(500.0)
+    for reading in (first, second):
+        assert reading.result(patience()) is PlaybackTurn.ELSEWHERE
+    [said] = caplog.messages
+    assert said.startswith(text)
+
+
 def test_a_step_waits_for_readers_that_were_moved() -> None:
     playback = Playback(Timeline(1.0, is_paused=True), 0, 10 * SECOND)
     playback.join("a")

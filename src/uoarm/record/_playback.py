@@ -12,6 +12,7 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm._raised import Log
 from uoarm.bridge import Bridge, ServiceStructures
 from uoarm.errors import UsageError
 from uoarm.model import Endpoint, MessageStructure, Role, closed_object
@@ -44,6 +45,8 @@ CONTROL_REPLY: Any = closed_object(
 _NANO = 1_000_000_000
 _TOGETHER = _NANO
 _STEP_SECONDS = 1.0
+_LONG_SECONDS = 60.0
+_log = Log("uoarm")
 
 
 class Timeline:
@@ -183,6 +186,7 @@ class Playback:
         self._moved = threading.Condition()
         self._readers: set[object] = set()
         self._next: dict[object, int] = {}  # of the readers that wait: the time of their message
+        self._noted_gap: int | None = None  # the time of the message behind it
         self._is_stepping = False
         self._steps = 0  # asked for while every reader was busy: the next message is not known yet
         self.generation = 0
@@ -234,6 +238,7 @@ class Playback:
                     if seconds == 0:
                         self._timeline.passed(place)
                         return PlaybackTurn.PLAY
+                    self._note_gap()
                     # A clock that was set late puts decades between two messages.
                     self._moved.wait(None if seconds is None else min(seconds, TIMEOUT_MAX))
             finally:
@@ -295,6 +300,19 @@ class Playback:
                 self.start / _NANO,
                 self._file,
             )
+
+    def _note_gap(self) -> None:
+        """Log, once for each, a gap in which no reader has a message for long."""
+        if self._next.keys() != self._readers:
+            return
+        place = min(self._next.values())
+        seconds = self._timeline.wait(place, self._clock())
+        if seconds is None or seconds <= _LONG_SECONDS or place == self._noted_gap:
+            return
+        self._noted_gap = place
+        at = (place % self.length if place > self.length else place) / _NANO
+        text = "recording %s: no message for %.0f s; `seek: %.3f`, or the option `from`, skips them"
+        _log.warning(text, self._file, seconds, at)
 
     def _take_step(self) -> None:
         self._steps -= self._timeline.step(self._next.values(), self._clock())
