@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +131,34 @@ def test_what_stands_for_a_type_is_taken() -> None:
     assert taken(1, np.int64(2), Path("a"), 3, of={}, anything=4, b="c")
     assert taken(np.float32(1.5), 2, "a")
     assert taken(number=2.5)
+
+
+async def take_later(_: object) -> None: ...
+
+
+class TakesLater:
+    async def __call__(self, _: object) -> None: ...
+
+
+@pytest.mark.parametrize("callback", [take_later, TakesLater(), partial(take_later, 1)])
+@pytest.mark.parametrize(
+    ("function", "parameter"),
+    [
+        (RobotManager.request, "on_message"),
+        (RobotManager.listen, "listener"),
+        (AsyncRobotManager.request, "on_message"),
+        (AsyncRobotManager.listen, "listener"),
+        (Connection.subscribe, "callback"),
+        (uoarm.AsyncConnection.subscribe, "callback"),
+    ],
+)
+def test_a_callback_that_nothing_would_await_is_refused(
+    callback: Any, function: Callable[..., Any], parameter: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        finished(function(None, **{parameter: callback}))
+    assert f"{parameter}: expected something that can be called" in str(caught.value)
+    assert "got a coroutine function, which nothing awaits" in str(caught.value)
 
 
 def test_names_of_functions_and_their_words_stay() -> None:

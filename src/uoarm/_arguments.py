@@ -31,7 +31,19 @@ T = TypeVar("T")
 _Kinds: TypeAlias = tuple[type, ...]
 
 _SHOWN = 60
+
+
+class _CallbackType(type):
+    def __instancecheck__(cls, value: object) -> bool:
+        return callable(value) and not _is_coroutine_function(value)
+
+
+class _Callback(metaclass=_CallbackType):
+    """What a hint such as `Callable[[T], None]` takes: what `async def` makes, nothing awaits."""
+
+
 _WORDS: Mapping[Any, str] = {
+    _Callback: "something that can be called",
     str: "a text",
     bytes: "octets",
     bool: "True or False",
@@ -187,12 +199,19 @@ def _kinds_of(hint: Any) -> _Kinds:
         return tuple(kind for part in parts for kind in part) if all(parts) else ()
     if hint is None:
         return (type(None),)
+    if origin is collections.abc.Callable and get_args(hint)[-1] in {None, types.NoneType}:
+        return (_Callback,)
     kind = hint if origin is None else origin
     if kind in {object, Any} or not inspect.isclass(kind) or kind is type:
         return ()
     if getattr(kind, "_is_protocol", False) and not getattr(kind, "_is_runtime_protocol", False):
         return ()
     return (kind,)
+
+
+def _is_coroutine_function(value: Any) -> bool:
+    call = getattr(value, "__call__", None)  # noqa: B004 - the method
+    return inspect.iscoroutinefunction(value) or inspect.iscoroutinefunction(call)
 
 
 def _article(name: str) -> str:
@@ -207,4 +226,6 @@ def _shown(value: object) -> str:
         return shown(value)
     if inspect.isclass(value):
         return f"the class {value.__name__}"
+    if _is_coroutine_function(value):
+        return "a coroutine function, which nothing awaits: have a function make a task of it"
     return _article(type(value).__name__)
