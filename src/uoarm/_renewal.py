@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 
 from uoarm._raised import Log
-from uoarm.errors import ConnectionClosedError
+from uoarm.errors import ConnectionClosedError, UoarmError
 from uoarm.model import Message
 
 _log = Log("uoarm.commands")
@@ -111,7 +111,12 @@ async def renewed_in_task(
                 held.error = error
                 return
 
-    await send(message)
+    try:
+        await send(message)
+    except asyncio.CancelledError:  # it may have arrived, and nothing ends it then
+        with suppress(UoarmError):
+            await stop()
+        raise
     renewing = asyncio.ensure_future(renew())
     try:
         yield held

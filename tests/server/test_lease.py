@@ -18,9 +18,10 @@ from tests.server.serving import access_file, url
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
+from uoarm._renewal import renewed_in_task
 from uoarm.client import connect
 from uoarm.errors import CommandRefusedError, ConnectionClosedError
-from uoarm.model import LeaseHolder, StatusEvent
+from uoarm.model import LeaseHolder, Message, StatusEvent
 from uoarm.server import Limits, Server, ServerOptions, serve_in_thread
 from uoarm.testing import MemoryBridge, patience, wait
 from uoarm.testing._components import Taker
@@ -162,6 +163,25 @@ def test_the_python_client_renews_while_it_holds_and_stops_then(
 
     asyncio.run(asyncio.wait_for(run(), patience()))
     assert "commands live for 3600 s, and are renewed every 3600 s" in caplog.text
+
+
+async def test_a_block_that_is_cancelled_as_it_begins_is_stopped() -> None:
+    done: list[Message] = []
+
+    async def send(message: Message) -> None:
+        done.append(message)
+        await asyncio.Event().wait()  # its answer does not come
+
+    async def stop() -> None:
+        done.append("stopped")
+        raise ConnectionClosedError("the link is down")
+
+    asked = asyncio.ensure_future(renewed_in_task(1, send, stop, 3600).__aenter__())
+    await asyncio.sleep(0)
+    asked.cancel()
+    await asyncio.wait({asked})
+    assert asked.cancelled()
+    assert done == [1, "stopped"]
 
 
 async def test_a_block_that_outlives_the_link_says_so(
