@@ -25,7 +25,8 @@ from typing_extensions import NotRequired, ReadOnly, Required, TypedDict
 
 from uoarm import RobotManager
 from uoarm._dataplane import make_check
-from uoarm._hints.convert import reader, writer
+from uoarm._hints.applications import as_message
+from uoarm._hints.convert import plain, reader, writer
 from uoarm._hints.schemas import is_plain, is_record
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -704,6 +705,14 @@ def test_numbers_of_numpy_are_numbers() -> None:
         check(talk.given(name)[0])
     counted = talk.given("numpy_count")[0]
     assert type(counted["value"]) is int
+
+
+def test_text_and_octets_of_numpy_are_text_and_octets() -> None:
+    labels = np.array(["cup", "hand"])
+    message: Any = as_message({"label": labels[0], "more": [np.bytes_(b"a")]}, "here")
+    assert message == {"label": "cup", "more": [b"a"]}
+    assert [type(message["label"]), type(message["more"][0])] == [str, bytes]
+    assert type(plain(labels[1])) is str
 
 
 @pytest.mark.parametrize("value", [np.float32(0.5), np.array([1]), np.int64(300), np.bool_(True)])

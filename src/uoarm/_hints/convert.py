@@ -234,6 +234,8 @@ def fault_of(value: Any) -> str:
 
 @lru_cache(maxsize=1024)
 def _write_of(kind: type) -> Callable[[Any], Message] | None:
+    if kind.__module__ == "numpy" and issubclass(kind, str | bytes):
+        return str if issubclass(kind, str) else bytes
     if is_record(kind) or is_enum(kind) or scalar_of(kind) is not None:
         hook: Callable[[Any], Message] = _converter().get_unstructure_hook(kind)
         return hook
