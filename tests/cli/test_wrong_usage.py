@@ -419,3 +419,24 @@ def test_an_empty_word_is_wrong_usage(words: tuple[str, ...]) -> None:
         2,
         ["uoarm explain UOA-002 says more"],
     ), done.output
+
+
+@pytest.mark.parametrize("words", [["check", "../robot.yaml"], ["up"], ["serve", "../robot.yaml"]])
+def test_a_folder_that_was_removed_meanwhile_is_named_in_words(
+    tmp_path: Path, words: list[str]
+) -> None:
+    (tmp_path / "robot.yaml").write_text(
+        "version: 1\nbridges: {python: {}}\nfunctions: {}\n", encoding="utf-8"
+    )
+    (tmp_path / "gone").mkdir()
+    gone = "import os; from uoarm.cli import main; os.rmdir(os.getcwd())"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{gone}; main({words})"],
+        cwd=tmp_path / "gone",
+        capture_output=True,
+        text=True,
+        timeout=patience(),
+        check=False,
+    )
+    text = "error: the folder that this runs in was removed: change to another"
+    assert (done.returncode, done.stderr.splitlines()[0]) == (1, text), done.stderr

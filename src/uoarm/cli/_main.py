@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -137,6 +138,12 @@ class PluginGroup(click.Group):
             except OSError as error:
                 if error.errno in _AT_LIMIT:
                     fail(f"{error.strerror}: {_LIMIT}", BRIDGE)
+                if _is_away(error):
+                    fail(
+                        "the folder that this runs in was removed: change to another",
+                        REFUSED,
+                        "UOA-003",
+                    )
                 if error.filename is None:
                     raise
                 # As where a folder may not be searched.
@@ -185,6 +192,15 @@ class PluginGroup(click.Group):
         found = self.get_command(ctx, name)
         assert found is not None
         return found
+
+
+def _is_away(error: OSError) -> bool:
+    """Say whether a path could not be made absolute, as there is no folder that it begins at."""
+    try:
+        Path.cwd()
+    except FileNotFoundError as missing:
+        return (error.errno, error.filename) == (missing.errno, None)
+    return False
 
 
 @contextmanager
