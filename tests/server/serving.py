@@ -29,7 +29,7 @@ def servers(robot: RobotManager, **always: Any) -> Iterator[Callable[..., Server
 
 
 def access_file(folder: Path, text: str, tokens: Mapping[str, str]) -> Path:
-    """Write an access file, in whose text `{name}` is the hash of the token of that name."""
+    """Write an access file; in its text, `{name}` stands for the hash of the token so named."""
     path = folder / "access.yaml"
     hashes = {name: hash_token(token) for name, token in tokens.items()}
     path.write_text(text.format(**hashes), encoding="utf-8")

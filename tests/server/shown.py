@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Annotated, Literal, TypedDict
 
+from uoarm import RobotManager
+from uoarm.config import loads
 from uoarm.local import Octets, Range
 
 SHOWN = """
@@ -142,3 +146,17 @@ def crowd(functions: int, candidates: int) -> str:
                 lines.append(f"        input: {{from: part{number - 1}, {place}}}")
             lines.append(f"        output: {{{place}}}")
     return "\n".join(lines)
+
+
+def manage(configuration: str) -> RobotManager:
+    """Make a manager whose configuration has this folder's files."""
+    return RobotManager(loads(configuration, origin=str(Path(__file__).parent / "robot.yaml")))
+
+
+@contextmanager
+def shown_robot() -> Iterator[RobotManager]:
+    """Have the robot that is shown, with a new camera."""
+    front.reset()
+    with manage(SHOWN) as robot:
+        yield robot
+        front.put(END)

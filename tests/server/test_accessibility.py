@@ -16,8 +16,7 @@ import pytest
 from tests.harness._shared import made_once
 from tests.server.browser import Browser, says
 from tests.server.conftest import Connect, Visit
-from tests.server.shown import END, SHOWN, front
-from tests.server.test_dashboard import manage
+from tests.server.shown import front, shown_robot
 
 from uoarm import RobotManager
 
@@ -45,11 +44,8 @@ Promise.all(document.getAnimations().map((animation) => animation.finished.catch
 
 @pytest.fixture
 def robot() -> Iterator[RobotManager]:
-    front.reset()
-    manager = manage(SHOWN)
-    yield manager
-    front.put(END)
-    manager.close()
+    with shown_robot() as robot:
+        yield robot
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from tests.host import joined
 from tests.server.browser import CONTRAST, Browser, says, text
 from tests.server.conftest import Connect, Serve, Visit
 from tests.server.serving import access_file
-from tests.server.shown import END, SHOWN, crowd, front
+from tests.server.shown import END, crowd, front, manage, shown_robot
 from tests.server.talk import eventually
 
 from uoarm import RobotManager
@@ -48,17 +48,10 @@ tokens: [{{name: tablet, principal: ada, role: nurse, sha256: {right}}}]
 pytestmark = pytest.mark.needs("chromium")
 
 
-def manage(configuration: str) -> RobotManager:
-    return RobotManager(loads(configuration, origin=str(Path(__file__).parent / "robot.yaml")))
-
-
 @pytest.fixture
 def robot() -> Iterator[RobotManager]:
-    front.reset()
-    manager = manage(SHOWN)
-    yield manager
-    front.put(END)
-    manager.close()
+    with shown_robot() as robot:
+        yield robot
 
 
 def test_the_graph_shows_functions_components_and_what_flows(

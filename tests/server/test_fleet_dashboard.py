@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import pytest
 from tests.server.browser import CONTRAST, Browser, says, text
 from tests.server.conftest import Connect, Visit
-from tests.server.shown import END, front
+from tests.server.shown import END, front, manage
 from tests.server.test_accessibility import axe, findings, light_and_dark
-from tests.server.test_dashboard import manage
 
 from uoarm import RobotManager
 from uoarm.server import ServerOptions, serve_in_thread

@@ -10,9 +10,9 @@ import pytest
 from tests.server.browser import Browser, says
 from tests.server.conftest import Between, Connect, Serve, Visit
 from tests.server.serving import access_file
-from tests.server.shown import END, SHOWN, front
+from tests.server.shown import front, shown_robot
 from tests.server.talk import Talk
-from tests.server.test_dashboard import GUEST, manage
+from tests.server.test_dashboard import GUEST
 
 from uoarm import RobotManager
 from uoarm.bridge import Registry
@@ -58,11 +58,8 @@ COVERED = """
 
 @pytest.fixture
 def robot() -> Iterator[RobotManager]:
-    front.reset()
-    manager = manage(SHOWN)
-    yield manager
-    front.put(END)
-    manager.close()
+    with shown_robot() as robot:
+        yield robot
 
 
 SENSES = """

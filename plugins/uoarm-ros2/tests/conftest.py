@@ -71,3 +71,12 @@ def peer() -> Iterator[Start]:
     yield start
     for process in started:
         process.end()
+
+
+@pytest.fixture(scope="session")
+def share() -> Path:
+    """The folder in which the definitions of installed types are."""
+    import std_msgs
+
+    folders = [parent / "share" for parent in Path(str(std_msgs.__file__)).parents]
+    return next(folder for folder in folders if (folder / "std_msgs" / "msg").is_dir())

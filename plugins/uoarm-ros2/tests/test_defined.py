@@ -26,14 +26,6 @@ MakeBridge = Make
 MADE = {"boolean": True, "integer": 3, "number": 0.25}
 
 
-@pytest.fixture(scope="module")
-def share() -> Path:
-    import std_msgs
-
-    folders = [parent / "share" for parent in Path(str(std_msgs.__file__)).parents]
-    return next(folder for folder in folders if (folder / "std_msgs" / "msg").is_dir())
-
-
 @pytest.fixture
 def uninstall(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """Makes a package as if it were not installed here; peers have it."""

@@ -30,18 +30,6 @@ IDL = ("BasicTypes", "Constants", "Defaults", "Empty", "Nested", "Strings", "WSt
 """Definitions of every sort; an `.idl` takes the parser a tenth of a second."""
 
 
-def installed_share() -> Path:
-    import std_msgs
-
-    folders = [parent / "share" for parent in Path(str(std_msgs.__file__)).parents]
-    return next(folder for folder in folders if (folder / "std_msgs" / "msg").is_dir())
-
-
-@pytest.fixture(scope="module")
-def share() -> Path:
-    return installed_share()
-
-
 @pytest.fixture(scope="module")
 def found(share: Path) -> RosDefinitions:
     return read_definitions(share)

@@ -21,6 +21,15 @@ STRING = {
 }  # fmt: skip
 
 
+def typedef(kind: str, /, **fields: tuple[str, int]) -> dict[str, object]:
+    """Describe a type as rosapi does: by field its type and its length, -1 where it is no array."""
+    return {
+        "type": kind, "fieldnames": list(fields),
+        "fieldtypes": [own for own, _ in fields.values()],
+        "fieldarraylen": [length for _, length in fields.values()],
+    }  # fmt: skip
+
+
 class Played:
     """A server that answers rosapi as it is written here, and keeps what came.
 

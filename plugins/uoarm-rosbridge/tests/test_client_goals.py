@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from played import STRING, Played, asked, bridge_to
+from played import STRING, Played, asked, bridge_to, typedef
 from ros import Ros, Serve, url
 from tests.server.talk import eventually  # type: ignore[import-not-found]
 from uoarm_rosbridge.client import _calls
@@ -23,15 +23,6 @@ LONG = min(patience(), 60)
 ADD = Endpoint("far", "add", Role.SERVICE, ("/add", "actionlib/TwoIntsAction"))
 PREEMPTED, SUCCEEDED, ABORTED, LOST = 2, 3, 4, 9
 ACTIVE, WALKED, CANCELED = 1, 4, 5
-
-
-def typedef(kind: str, /, **fields: tuple[str, int]) -> dict[str, object]:
-    return {
-        "type": kind, "fieldnames": list(fields),
-        "fieldtypes": [own for own, _ in fields.values()],
-        "fieldarraylen": [length for _, length in fields.values()],
-    }  # fmt: skip
-
 
 HEADER = typedef("std_msgs/Header", seq=("uint32", -1), stamp=("time", -1), frame_id=("string", -1))
 ID = typedef("actionlib_msgs/GoalID", stamp=("time", -1), id=("string", -1))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from played import TALK, Played, asked, bridge_to
+from played import TALK, Played, asked, bridge_to, typedef
 from ros import Serve, url
 from tests.server.robot import script  # type: ignore[import-not-found]
 from uoarm_rosbridge.client._channels import raw_reader
@@ -24,15 +24,6 @@ from uoarm.server.front_end import write_binary
 from uoarm.testing import Collector
 
 MOST = Budget(elements=1000)
-
-
-def typedef(name: str, /, **fields: tuple[str, int]) -> dict[str, object]:
-    return {
-        "type": name, "fieldnames": list(fields),
-        "fieldtypes": [kind for kind, _ in fields.values()],
-        "fieldarraylen": [length for _, length in fields.values()],
-    }  # fmt: skip
-
 
 INNER = typedef("x_msgs/Inner", small=("int16", -1), name=("string", -1))
 FIELDS: dict[str, tuple[str, int]] = {
