@@ -286,6 +286,10 @@ def test_lists_lie_in_lists_however_deep(encoding: Encoding) -> None:
         ({"none": np.zeros((1, 1))}, r"\$\.none: expected an array of one dimension, got 2"),
         ({"pair": [1]}, r"\$\.pair: expected 2 elements, got 1"),
         ({"pair": np.zeros(3, "h")}, r"\$\.pair: expected 2 elements, got 3"),
+        ({"pair": np.array([1.0, 2.0**20])}, r"\$\.pair\[1\]: expected -32768 to 32767"),
+        ({"pair": np.array([1, 0.5])}, r"\$\.pair\[1\]: expected an integer \(int16\), got 0.5"),
+        ({"pair": np.array([np.nan, 1])}, r"\$\.pair\[0\]: expected an integer \(int16\), got n"),
+        ({"pair": np.array([np.inf, 1])}, r"\$\.pair\[0\]: expected an integer \(int16\), got i"),
         ({"pair": np.array([1, 2**20])}, r"\$\.pair\[1\]: expected -32768 to 32767"),
         ({"flags": [True, 1]}, r"\$\.flags\[1\]: expected true or false"),
         ({"parts": [MESSAGE["parts"][0], {"flag": True}]}, r"\$\.parts\[1\]: field 'at' is miss"),
@@ -303,6 +307,16 @@ def test_what_does_not_fit_is_refused_with_its_place(
 ) -> None:
     with pytest.raises(MessageError, match=where):
         codec(encoding, **MANY).encode({**MESSAGE, **change})
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8", ">f4", "list"])
+@pytest.mark.parametrize("encoding", ENCODINGS, ids=lambda encoding: encoding.name)
+def test_floats_that_are_whole_are_integers_in_arrays_as_in_lists(
+    encoding: Encoding, kind: str
+) -> None:
+    known = codec(encoding, **MANY)
+    pair = [3.0, 4.0] if kind == "list" else np.array([3.0, 4.0], kind)
+    assert known.encode({**MESSAGE, "pair": pair}) == known.encode(MESSAGE)
 
 
 @pytest.mark.parametrize("name", ["first", "wide", "text", "none", "flags", "parts", "octets"])

@@ -168,8 +168,8 @@ TM = {"tm": {"sec": 1, "nsec": 2}}
         ("TimedLongSeq", {**TM, "data": b"ab"}, r"\$\.data: expected an array of long"),
         (
             "TimedLongSeq",
-            {**TM, "data": np.array([1.0])},
-            r"\$\.data: expected an array of long, got an array of float64",
+            {**TM, "data": np.array([1.5])},
+            r"\$\.data\[0\]: expected an integer \(long\), got 1.5",
         ),
         ("TimedStringSeq", {**TM, "data": ["a", 5]}, r"\$\.data\[1\]: expected"),
         ("GripperState", {**TM, "status": "OPEN"}, r"\$\.status: expected one of"),

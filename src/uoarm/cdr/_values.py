@@ -286,8 +286,12 @@ def _fitted(
     native = np.dtype(element.code)
     if given.dtype.newbyteorder("=") == native:
         return given
-    if given.dtype.kind not in ("iu" if element.bounds is not None else "iuf"):
+    if given.dtype.kind not in "iuf":
         raise UnfitValue(f"expected an array of {element.name}, got an array of {given.dtype}")
+    if element.bounds is not None and given.dtype.kind == "f":
+        # Floats that are whole are integers, as in a list. NaN equals nothing.
+        for index in np.flatnonzero(~np.isfinite(given) | (given != np.trunc(given)))[:1]:
+            raise UnfitValue(f"[{index}]: expected an integer ({element.name}), got {given[index]}")
     if not np.can_cast(given.dtype, native, "safe"):
         # Only the two ends need a look: NaN and infinities pass as floats.
         finite = given[np.isfinite(given)] if given.dtype.kind == "f" else given
