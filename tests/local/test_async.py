@@ -48,6 +48,13 @@ def test_an_asynchronous_generator_answers_a_message_with_several() -> None:
     assert talk.through("count_up", {"value": 3}, 3) == THREE
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_decorator_that_hides_what_is_asynchronous_changes_nothing() -> None:
+    assert talk.call("add_decorated", {"value": 1}) == {"value": 2}
+    assert talk.through("add_decorated", {"value": 1}) == [{"value": 2}]
+    assert talk.through("count_up_decorated", {"value": 3}, 3) == THREE
+
+
 def test_an_asynchronous_generator_is_a_source(caplog: pytest.LogCaptureFixture) -> None:
     described = talk.describe("counting", Role.OUTPUT).message
     assert described is not None

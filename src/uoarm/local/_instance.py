@@ -15,7 +15,7 @@ from uoarm._raised import foreign
 from uoarm._support.workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._loop import Coroutines
-from uoarm.local._port import AsyncKind, TargetPort
+from uoarm.local._port import TargetPort
 from uoarm.local._target import Emit, Target
 from uoarm.model import Deliver, Endpoint, Message, Options
 
@@ -205,12 +205,16 @@ class Instance:
         """
         port = self._target.port(endpoint)
         read, write = port.reader, port.writer
-        kept = self._awaiting(port, self._handler(endpoint))
-        call = kept if read is None else lambda message: kept(read(message))
+        name, handler = self._target.name, self._handler(endpoint)
 
         def take(message: Message) -> None:
             before = self._receivers
-            result = call(message)
+            result = handler(message if read is None else read(message))
+            # By what comes back: a decorated function does not say that it is asynchronous.
+            if inspect.iscoroutine(result):
+                result = self._coroutines.run(name, result)
+            elif inspect.isasyncgen(result):
+                result = self._coroutines.iterate(name, result)
             if isinstance(result, Iterator):
                 for item in result:
                     self._emit(before, write, item)
@@ -248,11 +252,10 @@ class Instance:
     def _service(self, endpoint: Endpoint) -> Callable[[Message, float], Message]:
         port, handler = self._target.port(endpoint), self._handler(endpoint)
         name, read, write = self._target.name, port.reader, port.writer or plain
-        is_coroutine = port.waits(handler) is AsyncKind.REPLY
 
         def answer(message: Message, timeout: float) -> Message:
             reply = handler(message if read is None else read(message))
-            if is_coroutine:
+            if inspect.iscoroutine(reply):
                 reply = self._coroutines.run(name, reply, timeout)
             return write(reply)
 
@@ -271,15 +274,6 @@ class Instance:
             name: parameter for name, parameter in self._parameters.items() if name not in before
         }
         return partial(self._object, *(self._parameters[name] for name in before), **after)
-
-    def _awaiting(self, port: TargetPort, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Return a handler that waits in its caller's thread for what is asynchronous."""
-        name, waits = self._target.name, port.waits(handler)
-        if waits is AsyncKind.REPLY:
-            return lambda value: self._coroutines.run(name, handler(value))
-        if waits is AsyncKind.MESSAGES:
-            return lambda value: self._coroutines.iterate(name, handler(value))
-        return handler
 
     def _iterator(self) -> Iterator[Any]:
         made = self._object if self._target.is_class else self._object(**self._parameters)

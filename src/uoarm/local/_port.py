@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from enum import Enum
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from uoarm._hints.convert import reader, writer
@@ -15,14 +14,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _NOTHING = inspect.Parameter.empty
-
-
-class AsyncKind(Enum):
-    """What is asynchronous of a handler: nothing, its reply, or each of its messages."""
-
-    NOTHING = "nothing"
-    REPLY = "reply"
-    MESSAGES = "messages"
 
 
 class _made_once(Generic[T]):  # noqa: N801 - read as a property is
@@ -49,7 +40,6 @@ class TargetPort:
     def __init__(self, target: Target, endpoint: Endpoint) -> None:
         self._target = target
         self._endpoint = endpoint
-        self._waits: AsyncKind | None = None
 
     @_made_once
     def takes_messages(self) -> bool:
@@ -105,18 +95,3 @@ class TargetPort:
         """
         _ = self._endpoint.role is Role.OUTPUT or self.reader
         _ = self.writer
-
-    def waits(self, handler: Callable[..., Any]) -> AsyncKind:
-        """Say what calling its handler, or the object that it is, gives to wait for."""
-        if self._waits is None:
-            self._waits = _waits(handler)
-        return self._waits
-
-
-def _waits(handler: Callable[..., Any]) -> AsyncKind:
-    for asked in (handler, getattr(handler, "__call__", None)):  # noqa: B004 - the method
-        if inspect.iscoroutinefunction(asked):
-            return AsyncKind.REPLY
-        if inspect.isasyncgenfunction(asked):
-            return AsyncKind.MESSAGES
-    return AsyncKind.NOTHING
