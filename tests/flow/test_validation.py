@@ -205,6 +205,12 @@ NUMBERS = {"type": "array", "items": {"type": "number", "minimum": 0}}
         (NUMBERS, np.array([(1, 2.0)], "i4,f8"), "expected a number, got (1, 2.0)"),
         (NUMBERS, np.array(["2020"], "M8[Y]"), "a number, got datetime.date(2020, 1, 1)"),
         (NUMBERS, memoryview(b"abcd").cast("B", (2, 2)), "a list, got octets in 2 dimensions"),
+        (
+            NUMBERS,
+            np.ma.array([1, 99], mask=[False, True]),
+            "a list, got an array of 2 int64 with masked",
+        ),
+        ({"const": [1]}, np.ma.array([1], mask=True), "got an array of 1 int64 with masked items"),
         ({"type": "string"}, memoryview(b"ab"), "expected text, got 2 octets"),
         ({"enum": []}, 1, "expected nothing, got 1"),
         ({"enum": [1, "a"]}, {1}, "expected 1 or a, got {1} of the class set"),
@@ -220,7 +226,15 @@ def test_what_only_looks_like_a_value_of_json_is_refused_in_words(
 
 
 @pytest.mark.parametrize(
-    "message", [np.arange(6)[::2], np.array([1, 2], ">i4"), np.ones(2, "e"), np.ones(2, "g"), [0]]
+    "message",
+    [
+        np.ma.array([1, 2]),
+        np.arange(6)[::2],
+        np.array([1, 2], ">i4"),
+        np.ones(2, "e"),
+        np.ones(2, "g"),
+        [0],
+    ],
 )
 def test_numbers_of_every_layout_and_size_are_numbers(message: Any) -> None:
     checker = make_check(MessageStructure(NUMBERS), ValidationMode.ALWAYS, "camera.default")

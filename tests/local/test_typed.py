@@ -283,7 +283,7 @@ class Given:
     "wrong",
     [{"text": 5}, {"text": b"x"}, {"text": None}, {"byte": 3.7}, {"byte": "5"}, {"byte": True},
      {"byte": 256}, {"byte": np.int64(2**40)}, {"real": "1"}, {"real": 1e300},
-     {"reals": np.array([1e300])}],
+     {"reals": np.array([1e300])}, {"reals": np.ma.array([1], mask=True)}],
 )  # fmt: skip
 def test_what_a_hint_does_not_promise_is_given_to_none(wrong: Any) -> None:
     write = writer(Given, "here")

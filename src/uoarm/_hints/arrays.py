@@ -186,6 +186,8 @@ class NumpyArray:
     def write(self, value: Any) -> Any:
         """Return an array of the type and shape that were promised."""
         numpy = sys.modules["numpy"]
+        if has_masked(value):
+            raise TypeError(f"expected {self}, got one with masked items: fill them")
         given = numpy.asarray(value)
         if given.size and given.dtype.kind not in _TAKEN[self.item.dtype.kind]:
             raise TypeError(f"expected {self}, got numbers of {given.dtype}")
@@ -211,6 +213,12 @@ class NumpyArray:
 
     def __str__(self) -> str:
         return f"an array of {self.item.dtype} of the shape {_shape(self.lengths)}"
+
+
+def has_masked(array: Any) -> bool:
+    """Say whether items of an array of numpy are masked: what is behind a mask is no value."""
+    mask = getattr(array, "mask", None)
+    return mask is not None and hasattr(mask, "any") and bool(mask.any())
 
 
 def _are_held(cast: Any, given: Any) -> bool:

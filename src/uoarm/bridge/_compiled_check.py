@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 from attrs import define, field, frozen
 
 from uoarm._encodable import is_encodable
+from uoarm._hints.arrays import has_masked
 from uoarm.model import Schema
 
 
@@ -464,4 +465,4 @@ def _is_grid(value: Any, lengths: Sequence[_Limits], numbers: NumberRange) -> bo
     if not hasattr(value, "dtype") or not isinstance(shape, tuple) or len(shape) != len(lengths):
         return False
     fits = all(least <= item <= most for item, (least, most) in zip(shape, lengths, strict=True))
-    return fits and numbers.accepts_buffer(value)
+    return fits and not has_masked(value) and numbers.accepts_buffer(value)

@@ -20,6 +20,7 @@ from jsonschema.exceptions import ValidationError
 from jsonschema.protocols import Validator
 
 from uoarm._encodable import is_encodable
+from uoarm._hints.arrays import has_masked
 from uoarm.bridge._compiled_check import judged
 from uoarm.model import Schema
 from uoarm.schema import UnsupportedPatternError, found_in
@@ -362,9 +363,8 @@ def _is_buffer(value: object) -> bool:
     if isinstance(value, bytes | bytearray | memoryview):
         return not isinstance(value, memoryview) or value.ndim == 1
     # A scalar of numpy, and an array of no dimension, is a number.
-    return (hasattr(value, "__array_interface__") and getattr(value, "ndim", 1) > 0) or hasattr(
-        value, "typecode"
-    )
+    is_array = hasattr(value, "__array_interface__") and getattr(value, "ndim", 1) > 0
+    return (is_array and not has_masked(value)) or hasattr(value, "typecode")
 
 
 def _plain_number(value: object) -> object:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from attrs import define, field
 
 from uoarm._encodable import encodable, is_encodable, shown
+from uoarm._hints.arrays import has_masked
 from uoarm._mistakes import mistakes
 from uoarm._raised import contained, text_of
 from uoarm._spelling import Speller
@@ -181,7 +182,8 @@ def _write(value: Any) -> str:
     if isinstance(value, bytes | bytearray | memoryview):
         return f"{len(value)} octets"
     if getattr(value, "ndim", 0):
-        return f"an array of {' x '.join(map(str, value.shape))} {value.dtype}"
+        masked = " with masked items" if has_masked(value) else ""
+        return f"an array of {' x '.join(map(str, value.shape))} {value.dtype}{masked}"
     text, kind = shown(value), type(value)
     # Some look like what was expected: a UserDict as a dict.
     return (
