@@ -543,6 +543,7 @@ def test_an_emergency_stop_there_is_a_refusal_here(robot: ServedRobot, desk: Des
         status = manager.status()
         assert dict(status.routes[0].dropped) == {"held": 1}
         assert status.components[0].health.value == "ok"
+        assert status.bridges[0].process is None  # the other one may be on any machine
         assert 0.75 not in stage.taken
         robot.manager.release()
 

@@ -37,6 +37,11 @@ class RemoteManagerBridge(Bridge):
         self._streams = FunctionStreams(self._other)
         self._called: set[tuple[str, ...]] = set()
 
+    @property
+    def process_id(self) -> int | None:
+        """Return None: the other manager is anywhere."""
+        return None
+
     def facts(self) -> Mapping[str, object]:
         """Return what the status shows of the link."""
         return {
