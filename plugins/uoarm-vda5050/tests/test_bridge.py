@@ -192,6 +192,26 @@ def test_a_component_that_opens_learns_that_its_vehicle_is_not_well(broker: Brok
         wait(lambda: len([event for event in events if event.health is Health.OK]) == 2)
 
 
+def test_a_component_that_has_another_vehicle_since_is_not_that_of_the_former(
+    broker: Broker,
+) -> None:
+    with (
+        driven(broker, "before") as before,
+        driven(broker, "since"),
+        bridge_to(broker) as bridge,
+    ):
+        events = health_events(bridge)
+        bridge.open_sink(endpoint("before", "transport", "goal"), ANYTHING)
+        for serial in ("before", "since"):
+            place = evolve(endpoint(serial, "transport", "goal"), component="z")
+            bridge.open_sink(place, ANYTHING).close()
+        before.vehicle.raise_error("wheelBroken", "the left one", fatal=True)
+        assert until(events, Health.DEGRADED).component == "before"
+        before.vehicle.clear_error("wheelBroken")
+        until(events, Health.OK)
+        assert {event.component for event in events} == {"before"}
+
+
 def test_a_user_sees_how_a_vehicle_is_that_is_called(broker: Broker) -> None:
     text = "version: 1\nbridges: {fleet: {plugin: vda5050}}\nfunctions:\n" + "".join(
         f"  {name}: {{components: [{{name: {name}, bridge: fleet, "

@@ -24,7 +24,7 @@ from uoarm.bridge import (
     Source,
     reading_endpoint,
 )
-from uoarm.model import Endpoint, Health, Message, MessageStructure
+from uoarm.model import Endpoint, Health, Message, MessageStructure, Role
 from uoarm_vda5050._channels import TransportSink, TransportSource, VehicleFollower, call
 from uoarm_vda5050._discovery import VehicleDirectory
 from uoarm_vda5050._health import Presence, Vehicle
@@ -67,12 +67,14 @@ class Vda5050Bridge(Bridge):
             self._reading("factsheet", self._published.body("factsheet"), None),
         )
         self._followers: dict[Vehicle, VehicleFollower] = {}
-        self._names: dict[Vehicle, set[str]] = {}
+        # Behind which vehicle each end of a component is. An end has one: with another
+        # configuration it may be another one.
+        self._vehicles: dict[tuple[str, Role, str], Vehicle] = {}
         self._headers: dict[Vehicle, Headers] = {}
         # Of each vehicle, held while it begins to be followed, so that callers in several threads
         # begin once; a broker that does not answer holds up no other vehicle.
         self._opening: dict[Vehicle, threading.Lock] = {}
-        # Guards these locks and names, between the threads of callers and of followers.
+        # Guards these locks and vehicles, between the threads of callers and of followers.
         self._lock = threading.Lock()
 
     @property
@@ -127,7 +129,7 @@ class Vda5050Bridge(Bridge):
     ) -> Message:
         del structures
         place = self._place(endpoint)
-        is_known = endpoint.component in self._names.get(place.vehicle, ())
+        is_known = self._vehicles.get(_end_of(endpoint)) == place.vehicle
         follower = self._follow(place, endpoint)
         if not is_known:
             follower.greet(endpoint.component)
@@ -159,7 +161,7 @@ class Vda5050Bridge(Bridge):
         vehicle = place.vehicle
         self._presence.require(vehicle, endpoint.component)
         with self._lock:
-            self._names.setdefault(vehicle, set()).add(endpoint.component)
+            self._vehicles[_end_of(endpoint)] = vehicle
             opening = self._opening.setdefault(vehicle, threading.Lock())
         with opening:
             follower = self._followers.get(vehicle)
@@ -215,6 +217,10 @@ class Vda5050Bridge(Bridge):
 
     def _report_vehicle(self, vehicle: Vehicle, health: Health, cause: str, component: str) -> None:
         with self._lock:
-            names = [component] if component else sorted(self._names.get(vehicle, ()))
-        for name in names:
+            ends = [end for end, behind in self._vehicles.items() if behind == vehicle]
+        for name in [component] if component else sorted({name for name, _, _ in ends}):
             self.report(health, cause, component=name)
+
+
+def _end_of(endpoint: Endpoint) -> tuple[str, Role, str]:
+    return endpoint.component, endpoint.role, endpoint.port
