@@ -106,6 +106,8 @@ def test_the_reason_of_an_error_of_others_is_bounded_and_never_raises() -> None:
     assert reason_of(BrokenError()) == "BrokenError, whose text raised ValueError"
     assert reason_of(OSError(5, "\udcff" * 5000)) == "\\udcff" * 166 + "\\udc"
     assert reason_of(OSError()) == "OSError"
+    wrong = OSError("Could not configure port: (25, 'Inappropriate ioctl for device')")
+    assert reason_of(wrong) == "Could not configure port: Inappropriate ioctl for device"
 
 
 def test_the_text_of_an_error_is_bounded_and_never_raises() -> None:

@@ -35,6 +35,7 @@ _RECORD_SECONDS = 10.0
 _FUNCTIONS = {FunctionType, MethodType, BuiltinFunctionType}
 _FOLDER = __file__.removesuffix("_raised.py")
 _NUMBER = re.compile(r"\[Errno (-?\d+)\] ")
+_NUMBER_AND_TEXT = re.compile(r"\(\d+, '([^']*)'\)")  # of termios, as pyserial hands it on
 _LATE = re.compile(r"timed out|^$")
 _OF_LOOP = re.compile(r"Connect call failed|error while attempting|Multiple exceptions")
 
@@ -249,7 +250,7 @@ def _reason(error: BaseException) -> str:
     if _OF_LOOP.match(said):  # which repeats the addresses, and may be about several
         numbers = [error.errno] if error.errno else map(int, _NUMBER.findall(said))
         return "; ".join(dict.fromkeys(map(os.strerror, numbers))) or said
-    return _NUMBER.sub("", said)
+    return _NUMBER_AND_TEXT.sub(r"\1", _NUMBER.sub("", said))
 
 
 class on_failure:  # noqa: N801 - read as a block's beginning, as those of contextlib are

@@ -16,7 +16,7 @@ from attrs import define, frozen
 
 from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, parse
 from uoarm._origin import install_command
-from uoarm._raised import text_of
+from uoarm._raised import reason_of
 from uoarm._support.files import open_regular
 from uoarm.bridge import message_check
 from uoarm.errors import BridgeError, FailureReason, MessageError, PluginError, UoarmError
@@ -109,7 +109,7 @@ class BagReader:
         except Exception as error:
             text = (
                 f"{self.path} cannot be read: expected an MCAP file, a .bag of ROS 1 or a folder "
-                f"of rosbag2 ({text_of(error)}){self._advice(error)}"
+                f"of rosbag2 ({reason_of(error)}){self._advice(error)}"
             )
             raise BridgeError(text, FailureReason.UNSUPPORTED) from error
         return reader

@@ -150,7 +150,8 @@ class LineDevice(Device):
             end = time.monotonic() + timeout
             while not self._is_there and not self._closed:
                 if (left := end - time.monotonic()) <= 0:
-                    raise LineError(f"{self.name} is not there after {timeout:g} s: {self._cause}")
+                    text = f"{self.name} is not there after {round(timeout, 1):g} s"
+                    raise LineError(f"{text}: {self._cause}")
                 self._state.wait(wait_step(left))
             self._check_open()
 
