@@ -158,13 +158,17 @@ def certificates(
         raise click.UsageError("say for whom: --manager ADDRESS, --machine NAME, or both")
     with reporting():
         with needing("certificates"):
-            from uoarm._support import certificates as made_here  # noqa: PLC0415 - an extra
+            from uoarm._support.certificates import (  # noqa: PLC0415 - needs an extra
+                Authority,
+                check_address,
+                check_machine,
+            )
         with reading_words():  # before anything is made
             for address in addresses:
-                made_here.check_address(address)
+                check_address(address)
             for machine in machines:
-                made_here.check_machine(machine)
-        authority = made_here.Authority.of(Path(folder))
+                check_machine(machine)
+        authority = Authority.of(Path(folder))
         if addresses:
             echo(f"the manager: {authority.certify_manager(addresses, days)}")
         for machine in machines:
