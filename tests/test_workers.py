@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import threading
@@ -328,7 +329,9 @@ def test_no_wait_that_must_end_is_at_a_simple_queue() -> None:
     found = {
         path.name
         for path in modules
-        if "SimpleQueue(" in (text := path.read_text()) and ".get(timeout=" in text
+        for text in [path.read_text()]
+        for name in re.findall(r"(\w+): (?:\w+\.)?SimpleQueue\[", text)
+        if f"{name}.get(timeout=" in text
     }
     assert found == {"workers.py"}  # of whose threads it ends those alone that nothing needs
 

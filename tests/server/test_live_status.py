@@ -98,7 +98,7 @@ def test_a_server_without_tls_and_a_token_that_is_none_are_said(server: Server) 
     address = url(server)
     for code, given, said in (
         (4, ["--url", address.replace("ws:", "wss:")], "no TLS"),
-        (1, ["--url", address, "--token", "s3cret\nmore"], "token: expected one line"),
+        (2, ["--url", address, "--token", "s3cret\nmore"], "token: expected one line"),
     ):
         shown = CliRunner().invoke(main, ["status", *given])
         assert shown.exit_code == code
