@@ -140,7 +140,9 @@ class TakesLater:
     async def __call__(self, _: object) -> None: ...
 
 
-@pytest.mark.parametrize("callback", [take_later, TakesLater(), partial(take_later, 1)])
+@pytest.mark.parametrize(
+    "callback", [take_later, TakesLater(), TakesLater().__call__, partial(take_later, 1)]
+)
 @pytest.mark.parametrize(
     ("function", "parameter"),
     [

@@ -209,9 +209,16 @@ def _kinds_of(hint: Any) -> _Kinds:
     return (kind,)
 
 
-def _is_coroutine_function(value: Any) -> bool:
-    call = getattr(value, "__call__", None)  # noqa: B004 - the method
-    return inspect.iscoroutinefunction(value) or inspect.iscoroutinefunction(call)
+def _is_coroutine_function(value: object) -> bool:
+    # Of a function, or of the class that has it: what else is asked of an object may be answered by
+    # its own code, which raises, or takes its time.
+    while isinstance(value, functools.partial):
+        value = value.func
+    if isinstance(value, types.MethodType):
+        value = value.__func__
+    if not isinstance(value, types.FunctionType):
+        value = inspect.getattr_static(type(value), "__call__", None)
+    return isinstance(value, types.FunctionType) and inspect.iscoroutinefunction(value)
 
 
 def _article(name: str) -> str:
