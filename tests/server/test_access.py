@@ -25,6 +25,7 @@ from uoarm._support.certificates import Authority
 from uoarm.errors import ConfigurationError
 from uoarm.model import StatusEvent
 from uoarm.server import Server, hash_token, make_token
+from uoarm.server.access import Admission, Credentials, RequestHead
 from uoarm.server.access._access_file import BUDGET, read_access
 from uoarm.server.access._role import AccessPolicy, AccessRole, Grant, Operation
 
@@ -457,6 +458,18 @@ def _replace(path: Path, text: str) -> None:
     fresh = path.with_suffix(".new")
     fresh.write_text(text, encoding="utf-8")
     fresh.replace(path)
+
+
+def test_a_wrong_token_beside_a_certificate_makes_no_other_credentials(tmp_path: Path) -> None:
+    text = """
+version: 1
+roles: {{viewer: {{see: all}}}}
+certificates: {{desk: {{role: viewer}}}}
+"""
+    admission = Admission(access_file(tmp_path, text, {}))
+    certificate = {"subject": ((("commonName", "desk"),),)}
+    heads = [RequestHead("/", "localhost", None, token, upgrade=True) for token in ("", "a", "b")]
+    assert {admission.admit(head, certificate) for head in heads} == {Credentials("", "desk")}
 
 
 def test_names_and_addresses_of_others_are_for_whom_may_see_all(

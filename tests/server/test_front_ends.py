@@ -330,6 +330,37 @@ def test_one_with_http_of_its_own_is_served_on_its_port(
         enter(server, "/own")
 
 
+@pytest.mark.parametrize(
+    "headers",
+    [
+        lambda number: [("Authorization", f"Bearer {number}")],
+        lambda number: [("Uoarm-Manager", f"{number:032x}")],
+    ],
+    ids=["token", "manager"],
+)
+def test_what_gives_a_request_no_right_makes_it_no_other_client(
+    serve: Serve, headers: Callable[[int], list[tuple[str, str]]]
+) -> None:
+    async def answer(place: HttpPlace) -> None:
+        async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await reader.readuntil(b"\r\n\r\n")
+            identities = set()
+            for number in range(3):
+                shown = [("Host", "localhost"), *headers(number)]
+                async with place.stateless_clients.admitted("/", shown, None, "me") as client:
+                    identities.add(client.identity)
+            writer.write(f"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n{len(identities)}".encode())
+            writer.close()
+
+        async with await asyncio.start_server(talk, sock=place.sockets[0]) as listening:
+            await listening.serve_forever()
+
+    own = FrontEnd(name="own", summary="", path="/own", serve=answer, contract=1)
+    server = serve(front_ends=[own], front_end_ports={"own": 0})
+    with urlopen(f"http://127.0.0.1:{server.ports[1]}/", timeout=SECONDS) as page:
+        assert page.read() == b"1"
+
+
 def test_it_says_how_it_is_served() -> None:
     with pytest.raises(ValueError, match="expected either start or serve"):
         FrontEnd(name="none", summary="", path="/none", contract=1)

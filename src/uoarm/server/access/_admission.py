@@ -274,18 +274,23 @@ class Admission:
             )
 
     def admit(self, head: RequestHead, certificate: Mapping[str, Any]) -> Credentials:
-        """Return the credentials of a client.
+        """Return the credentials of a client, without what gives it no right.
 
         Raises:
             RefusedError: 401, none that are known; a WrongTokenError where it shows a token.
         """
+        # With what gives no right, a client could be another one with each of its requests.
+        if self._policy is None:
+            return Credentials(importer=head.importer)
         digest = hash_token(head.token) if head.token else ""
-        credentials = Credentials(digest, _common_name(certificate), head.importer)
-        if self.role(credentials) is None:
-            kind = WrongTokenError if credentials.digest else RefusedError
-            had = "a token that is not valid" if credentials.digest else "no token"
+        shown = Credentials(digest, _common_name(certificate), head.importer)
+        if self.role(evolve(shown, certificate="")) is None:
+            shown = evolve(shown, digest="")
+        if self.role(shown) is None:
+            kind = WrongTokenError if digest else RefusedError
+            had = "a token that is not valid" if digest else "no token"
             raise kind(HTTPStatus.UNAUTHORIZED, f"this server needs a token; got {had}")
-        return credentials
+        return shown
 
     def role(self, credentials: Credentials) -> AccessRole | None:
         """Return the role that a client has at this moment, None when it may not stay."""

@@ -17,7 +17,7 @@ from contextlib import asynccontextmanager
 from http import HTTPStatus
 from typing import Any, Protocol
 
-from attrs import define, field
+from attrs import define, evolve, field
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
@@ -165,7 +165,10 @@ class StatelessClients:
             head = read_head(Request(path, Headers(headers)))
             self._admission.check_page(head)
             self._check_room(address)
-            client = self._of(self._admission.admit(head, certificate or {}), address)
+            credentials = self._admission.admit(head, certificate or {})
+            # All managers that import have the same rights: whichever of them it says it is.
+            importer = "another manager" if credentials.importer else ""
+            client = self._of(evolve(credentials, importer=importer), address)
         except RefusedError as error:
             self._refused()
             self._audit.arrival(address, "", "", str(error))
