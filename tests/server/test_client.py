@@ -41,7 +41,7 @@ from uoarm.client import RemoteRobot, RemoteStream, ServerError, ThreadAnswer, c
 from uoarm.client._socket import ClientSocket
 from uoarm.config import loads
 from uoarm.local import Shape
-from uoarm.model import Endpoint, Message, MessageStructure
+from uoarm.model import Endpoint, Message, MessageStructure, OverflowPolicy
 from uoarm.server import (
     Limits,
     Server,
@@ -73,6 +73,18 @@ async def test_messages_come_and_gaps_are_counted(
         assert stream.lost == 1
         with pytest.raises(ConnectionClosedError, match="finished"):
             await stream.get()
+
+
+async def test_who_asks_for_the_latest_reads_that_however_late(server: Server) -> None:
+    async with joined(server) as client:
+        stream = await client.request("numbers", queue=QueuePolicy(policy=OverflowPolicy.LATEST))
+        for number in range(1, 6):
+            script.put({"value": number})
+            while stream._last != number:  # noqa: ASYNC110 - there is no event of it
+                await asyncio.sleep(0.01)
+        script.put(END)
+        assert [message["value"] async for message in stream] == [5]
+        assert stream.lost == 4
 
 
 cameras = Script()

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from uoarm.client._stream import RemoteStream
+from uoarm.model import OverflowPolicy, QueuePolicy
 from uoarm.testing import patience
 
 
@@ -21,7 +22,7 @@ async def _diagnose(connection: str) -> tuple[str, ...]:
 
 def _stream() -> RemoteStream:
     opened = {"connection": "c1", "inputs": [], "warnings": []}
-    return RemoteStream(opened, {}, _never, _diagnose, 8)
+    return RemoteStream(opened, {}, _never, _diagnose, QueuePolicy(8))
 
 
 async def test_nothing_in_time_is_a_timeout() -> None:
@@ -42,7 +43,7 @@ def test_what_comes_while_it_is_asked_why_nothing_came_is_given() -> None:
             return ("nothing came",)
 
         stream = RemoteStream(
-            {"connection": "c1", "inputs": [], "warnings": []}, {}, _never, diagnose, 8
+            {"connection": "c1", "inputs": [], "warnings": []}, {}, _never, diagnose, QueuePolicy(8)
         )
         return await stream.get(0.01)
 
@@ -70,3 +71,24 @@ async def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(turns: 
     await asyncio.wait({reading})
     assert reading.cancelled() is asked
     assert (await stream.get(patience()) if asked else reading.result()) == 5
+
+
+@pytest.mark.parametrize(
+    ("queue", "left"),
+    [
+        (None, [3, 4, 5, 6, 7, 8, 9, 10]),
+        (QueuePolicy(3), [8, 9, 10]),
+        (QueuePolicy(policy=OverflowPolicy.LATEST), [10]),
+        (QueuePolicy(100, octets=1), [10]),
+    ],
+)
+async def test_what_the_application_does_not_read_is_bounded_and_counted(
+    queue: QueuePolicy | None, left: list[int]
+) -> None:
+    stream = _stream()
+    stream.take(1, 1)  # it may come before the caller has woken
+    stream.give_as(None, queue)
+    for number in range(2, 11):
+        stream.take(number, number)
+    assert [await stream.get(0) for _ in left] == left
+    assert stream.lost == 10 - len(left)

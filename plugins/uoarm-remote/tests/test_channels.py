@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+import pytest
+from uoarm_remote import _channels
 from uoarm_remote._channels import FunctionStreams, _Stream
 from uoarm_remote._link import ManagerLink
 from uoarm_remote._options import ManagerOptions
 
 from uoarm.client import RemoteStream
+from uoarm.model import QueuePolicy
 
 KEPT = 1024
 OPENED = {"connection": "c1", "inputs": [], "warnings": [], "number": 0}
@@ -26,7 +29,7 @@ def test_what_has_no_room_until_the_proof_is_counted() -> None:
     async def play() -> None:
         link = ManagerLink("robot3", ManagerOptions(), str, lambda *_: None)
         streams, shared = FunctionStreams(link), _Stream()
-        stream: RemoteStream = RemoteStream(OPENED, {}, nothing, nothing, KEPT)
+        stream: RemoteStream = RemoteStream(OPENED, {}, nothing, nothing, QueuePolicy(KEPT))
         stream.hand_over(lambda message: shared.hand_on(stream, message), str)
         for session in range(2):
             stream.renew(OPENED)
@@ -40,3 +43,23 @@ def test_what_has_no_room_until_the_proof_is_counted() -> None:
         link.close()
 
     asyncio.run(play())
+
+
+@pytest.mark.parametrize("latched", [False, True])
+def test_what_waits_for_the_proof_or_for_who_joins_has_a_bound_of_memory(
+    latched: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_channels, "_HELD_OCTETS", 2_500)
+    shared, stream = (
+        _Stream(),
+        RemoteStream({**OPENED, "latched": latched}, {}, nothing, nothing, QueuePolicy(KEPT)),
+    )
+    kept = shared.standing
+    if not latched:
+        kept = shared.unproven = _channels._NewestMessages(KEPT)
+    for number in range(5):
+        shared.hand_on(stream, bytes([number]) * 1_000)
+    assert [bytes(message)[0] for message in kept] == [3, 4]
+    assert stream.lost == (0 if latched else 3)
+    shared.hand_on(stream, bytes([5]) * 10_000)
+    assert [bytes(message)[0] for message in kept] == [5]

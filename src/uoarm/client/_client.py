@@ -145,7 +145,8 @@ class RemoteRobot(ServerQuestions):
             as_type: the type in which messages are wanted, as with `RobotManager.request`; the
                 server is asked for the plan first, to prove that every message is one.
             validate: how many messages of outputs the server checks.
-            queue: what the server does when this client reads too slowly.
+            queue: for messages that are read too slowly, of this client and of the server; None:
+                the newest 1,024 here, up to 64 MiB.
             every: least seconds between two messages.
             receive: False to send only.
             wait: seconds to wait, at the server, for a function that is unavailable, such as a
@@ -167,7 +168,7 @@ class RemoteRobot(ServerQuestions):
             options["wait"] = wait
         wanted = await self._typed(as_type, name, f"function {name!r}", "output.")
         stream: RemoteStream[Any] = await self.ask("Request", name, jsonMessage=options)
-        stream.give_as(wanted)
+        stream.give_as(wanted, queue)
         return stream
 
     @overload
@@ -537,7 +538,8 @@ class RemoteRobot(ServerQuestions):
             # Made here, since the first message may follow before the caller has woken.
             stream = asked.renewed
             if stream is None:
-                stream = RemoteStream(message, asked.fields, self.ask, self._diagnose, _HELD)
+                queue = QueuePolicy(_HELD)
+                stream = RemoteStream(message, asked.fields, self.ask, self._diagnose, queue)
             else:
                 stream.renew(message)
             self._away.discard(stream)

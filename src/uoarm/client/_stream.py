@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, suppress
 from functools import partial
@@ -12,12 +11,13 @@ from typing import Any, Generic, cast, final
 from typing_extensions import Self
 
 from uoarm._arguments import arguments
+from uoarm._dataplane import BoundedQueue
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._renewal import HeldCommand, renewal_period, renewed_in_task
 from uoarm._support.aio_deadlines import event_by
 from uoarm.bridge import boot_seconds
 from uoarm.errors import ConnectionClosedError, UsageError
-from uoarm.model import Message
+from uoarm.model import Message, QueuePolicy
 
 Ask = Callable[..., Awaitable[Any]]
 
@@ -47,7 +47,7 @@ class RemoteStream(Generic[T]):
         request: Mapping[str, Any],
         ask: Ask,
         diagnosis: Callable[[str], Awaitable[tuple[str, ...]]],
-        length: int,
+        queue: QueuePolicy,
     ) -> None:
         self.request = request
         self._diagnose = diagnosis
@@ -60,7 +60,7 @@ class RemoteStream(Generic[T]):
         self._refusal = ""
         self._describe(opened)
         self._ask = ask
-        self._waiting: deque[Message] = deque(maxlen=length)
+        self._waiting = self._queue(queue)
         self._changed = asyncio.Event()
         self._type: MessageType[T] | None = None
         self._take: Callable[[Message], object] | None = None
@@ -98,9 +98,20 @@ class RemoteStream(Generic[T]):
         """Send nothing until `renew`: its name may be another connection's by then."""
         self._is_away = True
 
-    def give_as(self, wanted: MessageType[T] | None) -> None:
-        """Give messages as a type from now on; `Client.request` does it."""
+    def give_as(self, wanted: MessageType[T] | None, queue: QueuePolicy | None) -> None:
+        """Give messages as a type, of another queue, from now on; `RemoteRobot.request` does it."""
         self._type = wanted
+        if queue is not None:
+            waiting, self._waiting = self._waiting, self._queue(queue)
+            while waiting:
+                self._waiting.put(waiting.get(0))
+
+    def _queue(self, policy: QueuePolicy) -> BoundedQueue[Message]:
+        return BoundedQueue(policy, self._count_lost)
+
+    def _count_lost(self, reason: str) -> None:
+        del reason
+        self.lost += 1
 
     @arguments()
     async def get(self, timeout: float | None = None) -> T:
@@ -134,7 +145,7 @@ class RemoteStream(Generic[T]):
             self._changed.clear()
             await event_by(self._changed, deadline)
         self.trouble = ()
-        message = self._waiting.popleft()
+        message = self._waiting.get(0)
         return cast("T", message) if self._type is None else self._type.read(message)
 
     def settle(self, number: int) -> None:
@@ -158,7 +169,7 @@ class RemoteStream(Generic[T]):
             renewed: called when a server that began anew has opened it again, before its messages.
         """
         while self._waiting:
-            take(self._waiting.popleft())
+            take(self._waiting.get(0))
         self._take, self._on_end, self._on_renewal = take, ended, renewed
         if self.ended:
             ended()
@@ -272,9 +283,7 @@ class RemoteStream(Generic[T]):
         if self._take is not None:
             self._take(message)
             return
-        if len(self._waiting) == self._waiting.maxlen:
-            self.lost += 1
-        self._waiting.append(message)
+        self._waiting.put(message)
         self._changed.set()
 
     def refuse(self, why: str) -> None:

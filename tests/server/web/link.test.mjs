@@ -55,6 +55,50 @@ test("what a drop took is counted as the session goes on, and at the end", async
   robot.close();
 });
 
+for (const [queue, left] of [
+  [undefined, [1, 2, 3, 4, 5]],
+  [{ length: 2 }, [4, 5]],
+  [{ policy: "latest" }, [5]],
+]) {
+  test(`what is not read is bounded as asked, and counted: ${JSON.stringify(queue)}`, async () => {
+    let opening;
+    const { robot, second } = await dropped(() => {}, (robot) => {
+      opening = robot.request("numbers", { queue });
+      const opened = { connection: "c1", inputs: [], warnings: [], number: 0 };
+      Socket.made.at(-1).deliver({ op: "Reply", id: "1", jsonMessage: opened });
+    });
+    second.deliver(RESUMED);
+    const stream = await opening;
+    for (let number = 1; number <= 5; number += 1) {
+      second.deliver({ op: "Data", type: "c1", "x-number": number, jsonMessage: number });
+    }
+    const ended = { connection: "c1", state: "closed", cause: "finished", number: 5 };
+    second.deliver({ op: "Status", type: "connection", jsonMessage: ended });
+    const read = [];
+    for await (const message of stream) read.push(message);
+    assert.deepEqual([read, stream.lost], [left, 5 - left.length]);
+    robot.close();
+  });
+}
+
+test("messages that are not read hold no more than so many octets", async () => {
+  let opening;
+  const { robot, second } = await dropped(() => {}, (robot) => {
+    opening = robot.request("numbers");
+    const opened = { connection: "c1", inputs: [], warnings: [], number: 0 };
+    Socket.made.at(-1).deliver({ op: "Reply", id: "1", jsonMessage: opened });
+  });
+  second.deliver(RESUMED);
+  const stream = await opening;
+  const long = "x".repeat(2 ** 25);
+  for (let number = 1; number <= 4; number += 1) {
+    second.deliver({ op: "Data", type: "c1", "x-number": number, jsonMessage: long });
+  }
+  assert.equal(stream.lost, 3);
+  assert.equal((await stream.get()).length, 2 ** 25);
+  robot.close();
+});
+
 test("a network that goes without a word is noticed", async (context) => {
   context.mock.timers.enable({ apis: ["setInterval"] });
   const connecting = connect("ws://x/", { WebSocket: Socket });

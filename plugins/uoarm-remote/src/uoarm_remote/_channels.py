@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any, TypeAlias
@@ -31,6 +31,31 @@ Report: TypeAlias = Callable[[Health, str], object]
 _Arrival: TypeAlias = "tuple[Message] | tuple[str, str]"  # a message, or state and cause of an end
 _STANDING = 64
 _UNPROVEN = 1024
+_HELD_OCTETS = 67_108_864
+
+
+class _NewestMessages:
+    """The last messages that came: so many at most, and so much memory; the newest always stays."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._messages: deque[tuple[Message, int]] = deque()
+        self._octets = 0
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def __iter__(self) -> Iterator[Message]:
+        return (message for message, _ in self._messages)
+
+    def append(self, message: Message) -> int:
+        """Keep a message; return how many have made room for it."""
+        octets, before = message_octets(message), len(self)
+        self._messages.append((message, octets))
+        self._octets += octets
+        while len(self) > self._most or (len(self) > 1 and self._octets > _HELD_OCTETS):
+            self._octets -= self._messages.popleft()[1]
+        return before + 1 - len(self)
 
 
 class _Stream:
@@ -40,18 +65,15 @@ class _Stream:
         self.opening = asyncio.Lock()
         self.stream: RemoteStream[Message] | None = None
         self.members: dict[FunctionSource | FunctionSink, bool] = {}  # and whether each is open
-        self.standing: deque[Message] = deque(maxlen=_STANDING)
+        self.standing = _NewestMessages(_STANDING)
         # What has come since the other manager began anew, until it is known that all of it fits.
-        self.unproven: deque[Message] | None = None
+        self.unproven: _NewestMessages | None = None
         self.proving: asyncio.Task[None] | None = None
 
     def hand_on(self, stream: RemoteStream[Message], message: Message) -> None:
         """Hand a message to all that are open."""
         if self.unproven is not None:
-            if len(self.unproven) == _UNPROVEN:
-                self.unproven.popleft()
-                stream.lost += 1
-            self.unproven.append(message)
+            stream.lost += self.unproven.append(message)
             return
         if stream.latched:
             self.standing.append(message)
@@ -110,7 +132,7 @@ class FunctionStreams:
                     options["every"] = every
                 stream = await robot.ask("Request", name, jsonMessage=options, **way)
                 shared.stream = stream
-                shared.standing.clear()
+                shared.standing = _NewestMessages(_STANDING)
                 self._opened(shared, channel, stream)
                 shared.unproven = None
                 prove = partial(self._prove, robot, shared, stream, way)
@@ -129,8 +151,8 @@ class FunctionStreams:
         prove: Callable[[], Coroutine[Any, Any, None]],
     ) -> None:
         stream.lost += len(shared.unproven or ())  # of a manager that has begun anew once more
-        shared.unproven = deque()
-        shared.standing.clear()
+        shared.unproven = _NewestMessages(_UNPROVEN)
+        shared.standing = _NewestMessages(_STANDING)
         if shared.proving is not None:
             shared.proving.cancel()
         shared.proving = asyncio.ensure_future(prove())

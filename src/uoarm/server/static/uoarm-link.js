@@ -274,21 +274,21 @@ export class Link {
         clearTimeout(late);
         resolve();
       };
-      const receive = (received) => {
+      const receive = (received, octets) => {
         if (state === "opening") {
           state = "greeting";
           greet(socket, received, greeted);
         } else if (state === "greeting" && received.id === RESUME) {
           if (received.op === "Reply") greet(socket, received, greeted);
           else fail(new UoarmError("unknown", errorOf(received.jsonMessage).message));
-        } else if (state !== "failed") this.#receive(received);
+        } else if (state !== "failed") this.#receive(received, octets);
       };
       socket.onmessage = ({ data }) => {
         this.#silence = 0;
         try {
           const frame = typeof data === "string" ? "text" : "binary";
           if (frame !== this.#form.frame) throw new Error(`a ${frame} frame: expected ${this.#form.frame}`);
-          receive(checked(this.#form.read(data), "object", "a message"));
+          receive(checked(this.#form.read(data), "object", "a message"), data.length ?? data.byteLength);
         } catch (error) {
           const strange = new UoarmError("unreadable", `${this.#place} sent what is no message: ${error.message}`);
           if (state !== "greeted") fail(strange);
@@ -387,11 +387,11 @@ export class Link {
     this.#socket.send(frame);
   }
 
-  #receive(received) {
+  #receive(received, octets) {
     if (received.id === ALIVE) return;
     if (received.id !== KEEP) {
       this.#unanswered.delete(received.id);
-      this.#take(received);
+      this.#take(received, octets);
     } else if (received.op === "Reply") {
       const { key, seconds: kept } = checked(received.jsonMessage, SHAPES.kept, "Reply to Resume");
       [this.#key, this.#seconds] = [key, Math.min(kept, LONGEST_KEPT)];

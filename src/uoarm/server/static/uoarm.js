@@ -5,6 +5,7 @@ import { Link, UoarmError, checkSeconds, checked, errorOf, later, opened, second
 export { UoarmError };
 
 const HELD = 1024;
+const HELD_OCTETS = 2 ** 26;
 const DIAGNOSIS_SECONDS = 1;
 const NO_SOCKET =
   "there is no WebSocket here: Node.js has it from version 22 on, from 20.10 on with " +
@@ -28,20 +29,42 @@ function inJson(key, value) {
   return isBare ? String(value) : value;
 }
 
-/** Messages for one reader: waits for the next, ends once, and keeps the newest when it is slow. */
+/**
+ * Messages for one reader: waits for the next, ends once, and keeps the newest when it is slow: so
+ * many at most, and so many octets, as they came.
+ */
 class Mailbox {
+  #most;
   #waiting = [];
+  #octets = 0;
   #readers = [];
   #end = null;
 
-  /** Adds an item; returns whether the oldest was let go of for it. */
-  put(item) {
+  constructor({ policy, length = HELD } = {}) {
+    this.#most = policy === "latest" ? 1 : Math.min(length, HELD);
+  }
+
+  /** Adds an item; returns how many of the oldest were let go of for it. */
+  put(item, octets = 0) {
     const reader = this.#readers.shift();
-    if (reader) reader.resolve({ value: item, done: false });
-    else this.#waiting.push(item);
-    const isFull = this.#waiting.length > HELD;
-    if (isFull) this.#waiting.shift();
-    return isFull;
+    if (reader) {
+      reader.resolve({ value: item, done: false });
+      return 0;
+    }
+    this.#waiting.push({ item, octets });
+    this.#octets += octets;
+    let gone = 0;
+    while (this.#waiting.length > this.#most || (this.#waiting.length > 1 && this.#octets > HELD_OCTETS)) {
+      this.#take();
+      gone += 1;
+    }
+    return gone;
+  }
+
+  #take() {
+    const { item, octets } = this.#waiting.shift();
+    this.#octets -= octets;
+    return item;
   }
 
   finish(error) {
@@ -57,7 +80,7 @@ class Mailbox {
   next(timeout = Infinity) {
     return new Promise((resolve, reject) => {
       const reader = { resolve, reject };
-      if (this.#waiting.length) resolve({ value: this.#waiting.shift(), done: false });
+      if (this.#waiting.length) resolve({ value: this.#take(), done: false });
       else if (this.#end) this.#settle(reader);
       else {
         this.#readers.push(reader);
@@ -138,7 +161,7 @@ export class Stream {
   #ask;
   #diagnose;
   #refusal = "";
-  #mailbox = new Mailbox();
+  #mailbox;
   #last; // the number of the last message that came or is lost
   #away = true;
   lost = 0;
@@ -150,6 +173,7 @@ export class Stream {
   /** `request` opens it: of this server, and of the one after a restart. */
   constructor(request, ask, diagnose) {
     this.request = request;
+    this.#mailbox = new Mailbox(request.jsonMessage?.queue ?? {});
     this.#ask = ask;
     this.#diagnose = diagnose;
   }
@@ -254,10 +278,10 @@ export class Stream {
     throw new UoarmError("closed", `${gone}: nothing was sent`);
   }
 
-  take(number, message) {
+  take(number, message, octets) {
     if (number) this.settle(number - 1);
     if (number) this.#last = number;
-    if (this.#mailbox.put(message)) this.lost += 1;
+    this.lost += this.#mailbox.put(message, octets);
   }
 
   /** Take in that the server had a message that it could not write. */
@@ -420,7 +444,7 @@ export class Robot {
     this.#link = new Link({
       ...options,
       place,
-      take: (received) => this.#take(received),
+      take: (received, octets) => this.#take(received, octets),
       lost: (error) => this.#lose(error),
       begun: () => this.#openAgain(),
       wentOn: (own) => this.#settle(own),
@@ -602,12 +626,12 @@ export class Robot {
     return asked;
   }
 
-  #take(received) {
+  #take(received, octets) {
     const { op, type, id, jsonMessage: message } = received;
     if (op === "Data") {
       // 0: what lies between is not lost
       const number = received["x-standing"] ? 0 : checked(received["x-number"], "number", "Data");
-      this.#streams.get(type)?.take(number, message);
+      this.#streams.get(type)?.take(number, message, octets);
     }
     else if (op === "Status") this.#takeStatus(type, message);
     else this.#takeAnswer(op, type, id, message);
