@@ -5,7 +5,7 @@ import { pairOf, shapesOf } from "../../../src/uoarm/server/static/app/shapes.js
 import {
   readAddress, withMove, withOptions, withoutPanel, withPanel, writeAddress,
 } from "../../../src/uoarm/server/static/app/address.js";
-import { exact, pretty, rate, short, span, stamp, timeOf } from "../../../src/uoarm/server/static/app/format.js";
+import { exact, fine, labels, pretty, rate, short, span, stamp, timeOf } from "../../../src/uoarm/server/static/app/format.js";
 import { byUnit, numbersOf, Series } from "../../../src/uoarm/server/static/app/numbers.js";
 import { findPicture, pixelsOf } from "../../../src/uoarm/server/static/app/picture.js";
 
@@ -81,6 +81,17 @@ test("a line keeps its last points only", () => {
   const line = new Series(2);
   for (const number of [1, 2, 3]) line.add(number, number * 10);
   assert.deepEqual([line.times, line.values], [[2, 3], [20, 30]]);
+});
+
+test("labels of an axis have the figures that tell them apart", () => {
+  assert.deepEqual(labels([0, 0.5, 1]), ["0", "0.5", "1"]);
+  assert.deepEqual(labels([1013.2, 1013.4]), ["1.0132 k", "1.0134 k"]);
+  assert.deepEqual(labels([1796104556, 1796104560, Infinity]), ["1.796104556 G", "1.79610456 G", ""]);
+  assert.deepEqual(labels([Infinity, -Infinity]), ["", ""]);
+});
+
+test("a value that one points at is as fine as one reads it", () => {
+  assert.deepEqual([1013.25, 1796104560.25, 0.1 + 0.2, -2, 3.4e38].map(fine), ["1013.25", "1796104560", "0.3", "-2", "3.4e+38"]);
 });
 
 test("numbers and times are short", () => {

@@ -4,11 +4,24 @@ const SINCE = 946684800; // 2000: what is less is a duration, or the time of a s
 const UNITS = [[1e9, "G"], [1e6, "M"], [1e3, "k"]];
 
 /** 1234567 as "1.23 M"; what is below a thousand keeps at most three figures. */
-export function short(number) {
-  if (number === null || number === undefined) return "–";
+export const short = (number) => (number === null || number === undefined ? "–" : rounded(number, 3));
+
+/** Labels of an axis: short, with as many figures as tell them apart; "" of what is not finite. */
+export function labels(numbers) {
+  const finite = numbers.filter(Number.isFinite);
+  let figures = 3;
+  const isSame = () => new Set(finite.map((number) => rounded(number, figures))).size < finite.length;
+  while (figures < 17 && isSame()) figures += 1;
+  return numbers.map((number) => (Number.isFinite(number) ? rounded(number, figures) : ""));
+}
+
+/** A number that one points at: 1013.25 in full, and the seconds of 1796104560.25. */
+export const fine = (number) => Number(number.toPrecision(Math.abs(number) < 1e6 ? 6 : 10)).toString();
+
+function rounded(number, figures) {
   const given = Math.abs(number) < 1e21 && UNITS.find(([limit]) => Math.abs(number) >= limit);
   const [size, unit] = given || [1, ""]; // beyond, as "1e+40"
-  const text = Number((number / size).toPrecision(3)).toString();
+  const text = Number((number / size).toPrecision(figures)).toString();
   return unit ? `${text} ${unit}` : text;
 }
 

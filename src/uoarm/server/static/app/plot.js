@@ -2,7 +2,7 @@
 
 import { useEffect, useRef, useState } from "../vendor/htm-preact.js";
 import Chart from "../vendor/uplot.js";
-import { short, span } from "./format.js";
+import { fine, labels, short, span } from "./format.js";
 import { byUnit } from "./numbers.js";
 import { usePlan } from "./plans.js";
 import { html } from "./ui.js";
@@ -98,7 +98,7 @@ function lookOf(place, unit, paths, scale) {
   const style = getComputedStyle(place);
   const colour = (name) => style.getPropertyValue(name).trim();
   const axis = { stroke: colour("--soft"), grid: { stroke: colour("--line"), width: 1 }, ticks: { stroke: colour("--line"), width: 1 } };
-  const value = (_, number) => (number == null ? "–" : `${short(number * scale.current)}${unit && ` ${unit}`}`);
+  const value = (_, number) => (number == null ? "–" : `${fine(number * scale.current)}${unit && ` ${unit}`}`);
   return {
     width: place.clientWidth,
     height: HEIGHT,
@@ -106,8 +106,9 @@ function lookOf(place, unit, paths, scale) {
     cursor: { drag: { x: false, y: false } },
     scales: { x: { time: true }, y: { range: (_, low, high) => padded(low, high) } },
     axes: [{ ...axis, space: 70, values: (_, times) => times.map((time) => clockOf(time)) },
-      { ...axis, size: 58, incrs: STEPS, label: unit || undefined, labelSize: 18,
-        values: (_, numbers) => numbers.map((number) => (Number.isFinite(number * scale.current) ? short(number * scale.current) : "")) }],
+      { ...axis, incrs: STEPS, label: unit || undefined, labelSize: 18,
+        size: (_, texts) => Math.max(58, 20 + 7 * Math.max(0, ...(texts ?? []).map((text) => text.length))),
+        values: (_, numbers) => labels(numbers.map((number) => number * scale.current)) }],
     series: [{ label: "time", value: (_, time) => (time == null ? "–" : clockOf(time, true)) },
       ...paths.map((path, at) => ({ label: path, stroke: colour(`--line-${at % LINES}`), width: 1.6, value, points: { show: false } }))],
   };
