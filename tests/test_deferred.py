@@ -15,6 +15,7 @@ import uoarm._host
 import uoarm._lock
 import uoarm._support.yaml
 import uoarm.config
+import uoarm.model
 import uoarm.schema
 
 PACKAGES = [
@@ -40,6 +41,14 @@ def test_help_shows_what_is_deferred() -> None:
     text = pydoc.plain(pydoc.render_doc(uoarm))
     assert "class RobotManager" in text
     assert "class AsyncRobotManager" in text
+
+
+@pytest.mark.parametrize("package", [uoarm, uoarm.model], ids=lambda package: package.__name__)
+def test_help_shows_every_class(package: ModuleType) -> None:
+    assert pydoc.render_doc(package)
+    # Of what attrs makes for a cached property, where CPython 3.13.0 adds a text to it, it is None.
+    classes = [item for name in package.__all__ if isinstance(item := getattr(package, name), type)]
+    assert all(getattr(item, "__getattr__", print).__module__ for item in classes)
 
 
 def test_a_public_package_is_an_attribute_without_an_import_of_its_own() -> None:

@@ -429,9 +429,15 @@ def test_a_folder_that_was_removed_meanwhile_is_named_in_words(
         "version: 1\nbridges: {python: {}}\nfunctions: {}\n", encoding="utf-8"
     )
     (tmp_path / "gone").mkdir()
-    gone = "import os; from uoarm.cli import main; os.rmdir(os.getcwd())"
+    # As the installed command is: where `-c` puts the folder itself into the path, CPython 3.13.0
+    # loads no module of C any more.
+    script = tmp_path / "command.py"
+    script.write_text(
+        f"import os; from uoarm.cli import main; os.rmdir(os.getcwd()); main({words})",
+        encoding="utf-8",
+    )
     done = subprocess.run(
-        [sys.executable, "-c", f"{gone}; main({words})"],
+        [sys.executable, str(script)],
         cwd=tmp_path / "gone",
         capture_output=True,
         text=True,

@@ -159,7 +159,7 @@ class Match:
     structures: tuple[str, ...] = ()
 
 
-@frozen
+@frozen(slots=False)  # as `Plan`
 class Component:
     """One provider of a function in one framework.
 

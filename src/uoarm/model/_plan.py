@@ -88,7 +88,8 @@ class Step:
     managers: tuple[str, ...] = ()
 
 
-@frozen(repr=False)
+# With slots, attrs gives it a `__getattr__` that `help` of CPython 3.13 cannot show.
+@frozen(repr=False, slots=False)
 class Plan:
     """What will be opened for one request: steps, producers first, and the edges between.
 
