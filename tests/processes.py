@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -232,15 +233,25 @@ def frame_of(thread: int) -> FrameType:
 
 
 @contextmanager
-def signal_beside(handle: Callable[[], object], waiting: Callable[..., object]) -> Iterator[None]:
+def signal_beside(handle: Callable[[], object], *waiting: Callable[..., object]) -> Iterator[None]:
     """Have a signal handled while the main thread waits in a function, once in this block.
 
     It comes in another thread, as the kernel may give it: so it ends no wait by itself.
+
+    Args:
+        handle: the signal's handler.
+        waiting: the function; others follow which it is to have been called within.
     """
     main = threading.get_ident()
+    first, *others = (function.__code__ for function in waiting)
+
+    def is_waiting() -> bool:
+        frame = frame_of(main)
+        outer = {item.f_code for item, _ in traceback.walk_stack(frame)}
+        return frame.f_code is first and outer.issuperset(others)
 
     def send() -> None:
-        wait(lambda: frame_of(main).f_code is waiting.__code__)
+        wait(is_waiting)
         signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
 
     before = signal.signal(signal.SIGUSR1, lambda *_: handle())

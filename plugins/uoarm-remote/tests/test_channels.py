@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import threading
+from concurrent.futures import Future
 from typing import Any
 
 import pytest
+from robots import ServedRobot
+from tests.processes import signal_beside  # type: ignore[import-not-found]
 from uoarm_remote import _channels
 from uoarm_remote._channels import FunctionStreams, _Stream
 from uoarm_remote._link import ManagerLink
@@ -13,6 +17,7 @@ from uoarm_remote._options import ManagerOptions
 
 from uoarm.client import RemoteStream
 from uoarm.model import QueuePolicy
+from uoarm.testing import patience
 
 KEPT = 1024
 OPENED = {"connection": "c1", "inputs": [], "warnings": [], "number": 0}
@@ -43,6 +48,22 @@ def test_what_has_no_room_until_the_proof_is_counted() -> None:
         link.close()
 
     asyncio.run(play())
+
+
+def test_a_signal_that_came_in_another_thread_is_handled_while_an_answer_is_awaited(
+    robot: ServedRobot,
+) -> None:
+    link = ManagerLink("robot3", ManagerOptions(robot.url), str, lambda *_: None)
+    link.require(patience())
+    answer: Future[str] = Future()
+
+    async def ask(_: object) -> str:
+        return await asyncio.wrap_future(answer)
+
+    places = threading.Condition.wait, ManagerLink.run
+    with signal_beside(lambda: answer.set_result("handled"), *places):
+        assert link.run(ask, patience(), "nothing") == "handled"
+    link.close()
 
 
 @pytest.mark.parametrize("latched", [False, True])

@@ -272,8 +272,10 @@ class ManagerLink:
         deadline = time.monotonic() + timeout
         self._await_attempt(deadline)
         future = asyncio.run_coroutine_threadsafe(self._within(work), self._loop)
+        while not future.done() and (left := deadline - time.monotonic()) > 0:
+            concurrent.futures.wait((future,), wait_step(left))
         try:
-            return future.result(max(0.0, deadline - time.monotonic()))
+            return future.result(0)
         except concurrent.futures.TimeoutError:
             future.cancel()
             text = f"{self.place}: no answer to {what} within {timeout:g} s"

@@ -11,18 +11,18 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable
-from concurrent.futures import Future
+from collections.abc import Iterable
+from concurrent.futures import wait
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
+from uoarm.bridge import WorkerExecutor, wait_step
 from uoarm.cli import main as run_command
 from uoarm.errors import BridgeError, CommandLineError, FailureReason, ListenError
 from uoarm.plugins import Command, CommandParser, hookimpl, printable
 
 __all__ = ["main", "uoarm_commands"]
 
-T = TypeVar("T")
 _STEP_SECONDS = 1.0
 _LAST_PORT = 65_535
 _ACTIONS = ("activate", "deactivate", "reset")
@@ -124,21 +124,11 @@ def _ask(given: argparse.Namespace) -> int:
                 return now.change(given.component, given.command), _component_lines
             return now.configure(given.component, _request(given)), _set_lines
 
-    return _print(given, *_awaited(ask))
-
-
-def _awaited(ask: Callable[[], T]) -> T:
-    """Return what is answered. In a thread: no signal is handled while a call of CORBA waits."""
-    answered: Future[T] = Future()
-
-    def run() -> None:
-        try:
-            answered.set_result(ask())
-        except BaseException as error:  # noqa: BLE001 - raised where it is waited for
-            answered.set_exception(error)
-
-    threading.Thread(target=run, name="uoarm-rtm-ask", daemon=True).start()
-    return answered.result()
+    # In a thread: no signal is handled while a call of CORBA waits.
+    asked = WorkerExecutor("uoarm-rtm-ask").submit(ask)
+    while not wait((asked,), wait_step()).done:
+        pass
+    return _print(given, *asked.result())
 
 
 def _request(given: argparse.Namespace) -> dict[str, object]:
